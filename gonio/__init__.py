@@ -1,0 +1,32 @@
+"""gonio: a virtual imaging gonioreflectometer and a BRDF fitting toolkit."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from gonio.calibration.reduction import reduce
+    from gonio.fitting.least_squares import fit
+    from gonio.simulation import simulate
+
+__all__ = ["__version__", "fit", "reduce", "simulate"]
+
+# The verbs load their machinery at first use, so that `import gonio` stays light.
+_VERBS = {
+    "simulate": "gonio.simulation",
+    "reduce": "gonio.calibration.reduction",
+    "fit": "gonio.fitting.least_squares",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _VERBS:
+        return getattr(importlib.import_module(_VERBS[name]), name)
+    raise AttributeError(f"module 'gonio' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_VERBS])

@@ -1,0 +1,62 @@
+"""The few kinds of error that gonio raises, each with the exit code that the command line returns.
+
+Every message is one sentence or two: what was given, what is allowed, what to do next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any
+
+
+class GonioError(Exception):
+    """Base of all errors that gonio raises on purpose.
+
+    Parameters
+    ----------
+    message : str
+        One clear sentence for the person at the terminal.
+    value : object, optional
+        The offending value, for programs that handle the error.
+    """
+
+    exit_code = 2
+
+    def __init__(self, message: str, *, value: Any = None) -> None:
+        super().__init__(message)
+        self.value = value
+
+
+class ConfigurationError(GonioError):
+    """A name, a parameter or a setting that is not allowed (exit code 2)."""
+
+    exit_code = 2
+
+
+class DataError(GonioError):
+    """A file or an array whose content cannot be used (exit code 3)."""
+
+    exit_code = 3
+
+
+class SessionInterruptedError(GonioError):
+    """Work stopped before its end and can be resumed by the same command (exit code 4)."""
+
+    exit_code = 4
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigurationError:
+    """Error for a name that is not in a list, with the nearest known name.
+
+    Examples
+    --------
+    >>> str(unknown_name("model", "wrd", ["ward", "lambert"]))
+    "unknown model 'wrd': did you mean 'ward'? Known: lambert, ward."
+    """
+    names = sorted(known)
+    near = get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return ConfigurationError(
+        f"unknown {kind} {name!r}: {hint}Known: {', '.join(names)}.", value=name
+    )

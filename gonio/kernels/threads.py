@@ -1,0 +1,49 @@
+"""Run compiled loops on slices in a few threads, with results that do not depend on how many."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+BLOCK = 8192
+
+
+def default_threads() -> int:
+    """Threads to use: `GONIO_THREADS` where set, else the cores this process may run on."""
+    given = os.environ.get("GONIO_THREADS", "")
+    if given.isdigit() and int(given) > 0:
+        return int(given)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def map_blocks(
+    work: Callable[[int, int], object],
+    n: int,
+    *,
+    threads: int | None = None,
+    block: int = BLOCK,
+) -> None:
+    """Call `work(start, stop)` for consecutive blocks that cover range(n).
+
+    The blocks are the same whatever the number of threads, and each call must touch only its own
+    slice of the outputs, so one thread and many give the same bits.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> map_blocks(lambda a, b: seen.append((a, b)), 5, threads=1, block=2)
+    >>> seen
+    [(0, 2), (2, 4), (4, 5)]
+    """
+    bounds = [(start, min(start + block, n)) for start in range(0, n, block)]
+    threads = threads or default_threads()
+    if threads == 1 or len(bounds) < 2:
+        for start, stop in bounds:
+            work(start, stop)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for done in [pool.submit(work, start, stop) for start, stop in bounds]:
+            done.result()

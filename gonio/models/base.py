@@ -1,0 +1,259 @@
+"""What a reflectance model is: its parameters, its scalar kernel and the claims it must keep."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from gonio.errors import ConfigurationError, unknown_name
+from gonio.geometry import Directions, FloatArray
+from gonio.kernels import Loops, loops_for, map_blocks
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a model, declared once and read by CLI, fit, plots, docs and tests.
+
+    Parameters
+    ----------
+    name, symbol, meaning : str
+        The paper's letter spelled out, as a formula shows it, and what it stands for.
+    default, lower, upper : float
+        Default value and the closed range that is allowed, in radians where `unit` is "rad".
+    unit : {"", "rad"}
+        Unit in Python. Files and the command line use degrees for "rad".
+    scale : {"linear", "log"}
+        How a grid of starting values is spaced over the range `start`.
+    linear : bool
+        True where f is linear in this parameter while the others are held.
+    start : tuple of float, optional
+        Range that a fit searches for its start; the whole range where not given.
+    """
+
+    name: str
+    symbol: str
+    meaning: str
+    default: float
+    lower: float
+    upper: float
+    unit: Literal["", "rad"] = ""
+    scale: Literal["linear", "log"] = "linear"
+    linear: bool = False
+    start: tuple[float, float] | None = None
+
+    @property
+    def file_unit(self) -> str:
+        """Unit on the command line and in files."""
+        return "deg" if self.unit == "rad" else self.unit
+
+    def to_file(self, value: float) -> float:
+        """Value in the unit of files (degrees for angles)."""
+        return math.degrees(value) if self.unit == "rad" else value
+
+    def from_file(self, value: float) -> float:
+        """Value in the unit of Python, from the unit of files."""
+        return math.radians(value) if self.unit == "rad" else value
+
+    def check(self, value: float) -> float:
+        """The value as a float if it lies in the range.
+
+        Raises
+        ------
+        ConfigurationError
+            If it is not a finite number in [lower, upper].
+        """
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise ConfigurationError(
+                f"{self.name} = {value!r} is not a number; {self._allowed()}.", value=value
+            ) from None
+        # Degrees in, radians out and back may miss the bound by an ulp.
+        slack = 1e-12 * max(abs(self.lower), abs(self.upper))
+        if not self.lower - slack <= number <= self.upper + slack:
+            raise ConfigurationError(
+                f"{self.name} = {self._show(number)} is out of range; {self._allowed()}.",
+                value=number,
+            )
+        return min(max(number, self.lower), self.upper)
+
+    def _show(self, value: float) -> str:
+        if self.unit == "rad":
+            return f"{value:.6g} rad ({math.degrees(value):.6g} deg)"
+        return f"{value:.6g}"
+
+    def _allowed(self) -> str:
+        return f"allowed is {self._show(self.lower)} to {self._show(self.upper)}"
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What a model promises over its whole range; the contract tests demand exactly this.
+
+    Parameters
+    ----------
+    reciprocal : bool
+        f(i, r) = f(r, i).
+    non_negative : bool
+        f >= 0 for all directions above the horizon.
+    isotropic : bool
+        f depends on phi_i - phi_r only.
+    seams : tuple of (theta_i, phi_i, theta_r, phi_r)
+        Direction pairs, radians, on every branch of the formula: f is continuous across them.
+    lambert_limit : mapping, optional
+        Parameter values at which the model is exactly rho/pi, with `rho` or `rho_d` free.
+    """
+
+    reciprocal: bool = True
+    non_negative: bool = True
+    isotropic: bool = False
+    seams: tuple[tuple[float, float, float, float], ...] = ()
+    lambert_limit: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A reflectance model: called with directions and parameters it gives f in sr^-1.
+
+    Parameters
+    ----------
+    name, title, reference : str
+        Name on the command line, full name, and paper with equation and page.
+    parameters : tuple of Parameter
+        In the order in which the kernel takes them.
+    kernel : callable
+        kernel(xi, yi, zi, xr, yr, zr, *parameters) -> (f, df/dp_1, ..., df/dp_n) for one pair of
+        unit vectors above the horizon, in plain Python and `math`.
+    claims : Claims
+        What the contract tests hold the model to.
+    validity : str
+        Where the formula may be trusted, in one or two sentences.
+    """
+
+    name: str
+    title: str
+    reference: str
+    parameters: tuple[Parameter, ...]
+    kernel: Callable[..., tuple[float, ...]]
+    claims: Claims = field(default_factory=Claims)
+    validity: str = ""
+
+    def __call__(self, directions: Directions, **parameters: float) -> FloatArray:
+        """BRDF in sr^-1, cosine not included.
+
+        Parameters
+        ----------
+        directions : Directions
+            Pairs of directions in the frame of the sample, any shape.
+        **parameters : float
+            All parameters by name; those left out take their defaults.
+
+        Returns
+        -------
+        ndarray
+            Shape of `directions`; 0 at and below the horizon.
+
+        Raises
+        ------
+        ConfigurationError
+            If a name is unknown or a value out of range.
+        """
+        w_i, w_r = directions.vectors()
+        return self.evaluate(w_i, w_r, self.vector(parameters))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of the kernel."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def loops(self) -> Loops:
+        """The compiled loops over this model's kernel."""
+        return loops_for(self.kernel, len(self.parameters))
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter with this name.
+
+        Raises
+        ------
+        ConfigurationError
+            If the model has none, with the nearest name.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise unknown_name(f"parameter of {self.name}", name, self.names)
+
+    def vector(self, parameters: Mapping[str, float]) -> FloatArray:
+        """Checked parameter vector in the kernel's order, defaults filled in."""
+        for name in parameters:
+            self.parameter(name)
+        return np.array([p.check(parameters.get(p.name, p.default)) for p in self.parameters])
+
+    def evaluate(
+        self, w_i: FloatArray, w_r: FloatArray, p: FloatArray, *, threads: int | None = None
+    ) -> FloatArray:
+        """f for unit vectors of shape (..., 3) and a parameter vector that is not checked."""
+        a, b, shape = _flat_pairs(w_i, w_r)
+        out = np.empty(len(a))
+        work = self.loops.evaluate
+        map_blocks(lambda s, e: work(a[s:e], b[s:e], p, out[s:e]), len(a), threads=threads)
+        return out.reshape(shape)
+
+    def gradient(
+        self, w_i: FloatArray, w_r: FloatArray, p: FloatArray, *, threads: int | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """f, and its derivatives (..., n_parameters), in one compiled pass."""
+        a, b, shape = _flat_pairs(w_i, w_r)
+        out, jac = np.empty(len(a)), np.empty((len(a), len(self.parameters)))
+        work = self.loops.evaluate_gradient
+        map_blocks(
+            lambda s, e: work(a[s:e], b[s:e], p, out[s:e], jac[s:e]), len(a), threads=threads
+        )
+        return out.reshape(shape), jac.reshape(*shape, -1)
+
+    def plain(self, w_i: FloatArray, w_r: FloatArray, p: FloatArray) -> tuple[float, ...]:
+        """The kernel run by the Python interpreter for one pair: the compiled code's twin."""
+        if w_i[2] <= 0 or w_r[2] <= 0:
+            return (0.0,) * (1 + len(self.parameters))
+        arguments = [float(v) for v in (*w_i, *w_r, *p)]
+        return self.kernel(*arguments)
+
+    def describe(self) -> dict[str, Any]:
+        """The model as plain data, for --json and documentation."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "reference": self.reference,
+            "validity": self.validity,
+            "documentation": inspect.getdoc(inspect.getmodule(self.kernel)),
+            "parameters": [
+                {
+                    "name": p.name,
+                    "symbol": p.symbol,
+                    "meaning": p.meaning,
+                    "unit": p.file_unit,
+                    "default": p.to_file(p.default),
+                    "lower": p.to_file(p.lower),
+                    "upper": p.to_file(p.upper),
+                }
+                for p in self.parameters
+            ],
+        }
+
+
+def _flat_pairs(
+    w_i: FloatArray, w_r: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
+    w_i, w_r = np.broadcast_arrays(np.asarray(w_i, float), np.asarray(w_r, float))
+    shape = w_i.shape[:-1]
+    return (
+        np.ascontiguousarray(w_i.reshape(-1, 3)),
+        np.ascontiguousarray(w_r.reshape(-1, 3)),
+        shape,
+    )

@@ -1,0 +1,69 @@
+"""Ward's anisotropic (elliptical) Gaussian model, the exact form.
+
+f = rho_d/pi + rho_s / sqrt(cos theta_i cos theta_r)
+    * exp[-tan^2 delta (cos^2 phi/alpha_x^2 + sin^2 phi/alpha_y^2)] / (4 pi alpha_x alpha_y)
+
+(delta, phi) is the half vector h = d_i + d_r; with h not normalised the exponent is
+-[(h.x/alpha_x)^2 + (h.y/alpha_y)^2] / (h.n)^2.
+
+In print alpha is called the standard deviation of the slope; the exponent says that the standard
+deviation along each axis is alpha/sqrt(2). The normalisation holds at normal incidence and small
+alpha only: the albedo of the lobe falls about as rho_s cos(theta_i) (docs/errata.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+from gonio.models.base import Claims, Model, Parameter
+
+
+def kernel(
+    xi: float,
+    yi: float,
+    zi: float,
+    xr: float,
+    yr: float,
+    zr: float,
+    rho_d: float,
+    rho_s: float,
+    alpha_x: float,
+    alpha_y: float,
+) -> tuple[float, float, float, float, float]:
+    """f of eq. (5a) and its derivatives by rho_d, rho_s, alpha_x, alpha_y."""
+    h_z = zi + zr
+    u = (xi + xr) / (h_z * alpha_x)
+    v = (yi + yr) / (h_z * alpha_y)
+    u2 = u * u
+    v2 = v * v
+    lobe = math.exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
+    return (
+        rho_d / math.pi + rho_s * lobe,
+        1 / math.pi,
+        lobe,
+        rho_s * lobe * (2 * u2 - 1) / alpha_x,
+        rho_s * lobe * (2 * v2 - 1) / alpha_y,
+    )
+
+
+MODEL = Model(
+    name="ward",
+    title="Ward, elliptical Gaussian, exact",
+    reference="Ward 1992, eq. (5a), p. 268",
+    parameters=(
+        Parameter("rho_d", "ρ_d", "diffuse reflectance", 0.2, 0.0, 1.0, linear=True),
+        Parameter("rho_s", "ρ_s", "amplitude of the specular lobe", 0.1, 0.0, 1.0, linear=True),
+        Parameter(
+            "alpha_x", "α_x", "slope of the facets in x", 0.1, 0.005, 2.0,
+            scale="log", start=(0.02, 0.8),
+        ),
+        Parameter(
+            "alpha_y", "α_y", "slope of the facets in y", 0.1, 0.005, 2.0,
+            scale="log", start=(0.02, 0.8),
+        ),
+    ),
+    kernel=kernel,
+    claims=Claims(),
+    validity="alpha up to about 0.2; rho_s is an amplitude, the lobe's albedo is less at oblique "
+    "incidence and diverges at grazing.",
+)

@@ -174,7 +174,7 @@ class BRDFSamples:
         index = np.flatnonzero(keep) if keep.dtype == bool else np.asarray(keep, np.int64)
         d = self.directions
         angles = [np.broadcast_to(getattr(d, a), (len(self),))[index] for a in _ANGLES]
-        columns = {
+        columns: dict[str, Any] = {
             name: None if (column := getattr(self, name)) is None else column[index]
             for name in _PER_SAMPLE
         }

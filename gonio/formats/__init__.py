@@ -1,1 +1,203 @@
-"""Stub."""
+"""Files of BRDF samples: one file of this folder is one format, found by looking into it.
+
+A format is a module with `NAME`, `TITLE`, `mismatch(path, head)`, which says why a file that begins
+with these bytes is in another format (None where it is in this one), and `read(path)`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from gonio.errors import ConfigurationError, DataError, unknown_name
+from gonio.files import sha256_of
+from gonio.samples import BRDFSamples
+
+__all__ = ["choose", "names", "read"]
+
+SELECTIONS = ("channel", "wavelength")
+_HEAD = 1 << 16
+# Wavelengths agree when they do to a millionth of a nanometre.
+_SAME_NM = 1e-6
+
+
+@cache
+def _all() -> dict[str, ModuleType]:
+    found: dict[str, ModuleType] = {}
+    for info in pkgutil.iter_modules(__path__):
+        if not info.name.startswith("_"):
+            module = importlib.import_module(f"{__name__}.{info.name}")
+            found[module.NAME] = module
+    # A file that only its suffix gives away is taken for gonio's own table last.
+    return dict(sorted(found.items(), key=lambda item: (item[0] == "gonio_csv", item[0])))
+
+
+def names() -> list[str]:
+    """Names of the formats that can be read.
+
+    Examples
+    --------
+    >>> names()
+    ['cornell', 'nist_ptfe', 'samples_nc', 'gonio_csv']
+    """
+    return list(_all())
+
+
+def read(path: str | Path, *, select: Mapping[str, str] | None = None) -> BRDFSamples:
+    """Read BRDF samples from a file of any known format, told by its content.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    select : mapping, optional
+        ``{"wavelength": "650"}`` keeps the samples at that wavelength in nm,
+        ``{"channel": "red"}`` those of that channel.
+
+    Returns
+    -------
+    BRDFSamples
+        With `metadata` telling ``format``, ``path`` (the file's name without folders) and
+        ``sha256`` of the file.
+
+    Raises
+    ------
+    DataError
+        If the file is in no known format (the message says for each why not) or its content
+        cannot be used (the message ends with the format that was read).
+    ConfigurationError
+        If `select` has an unknown key or asks for what the file does not hold.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "paint.brdf"
+    >>> n = file.write_text("2\\n450 650\\n0.5 0 0.5 3.141593 0.02 0.3\\n")
+    >>> samples = read(file, select={"wavelength": "650"})
+    >>> samples.value.tolist(), samples.metadata["format"]
+    ([0.3], 'cornell')
+    """
+    path = Path(path)
+    # A wrong key is told before a long file is read.
+    for key in select or ():
+        if key not in SELECTIONS:
+            raise unknown_name("selection", key, SELECTIONS)
+    module = _format_of(path)
+    try:
+        samples: BRDFSamples = module.read(path)
+    except DataError as error:
+        raise DataError(f"{error} (Read as {module.NAME}.)", value=error.value) from error
+    samples = replace(
+        samples,
+        metadata={
+            **samples.metadata,
+            "format": module.NAME,
+            "path": path.name,
+            "sha256": sha256_of(path),
+        },
+        history=(*samples.history, f"{len(samples)} samples read from {path.name}, {module.NAME}"),
+    )
+    return choose(samples, select or {}, where=str(path))
+
+
+def choose(
+    samples: BRDFSamples, select: Mapping[str, str], *, where: str = "samples"
+) -> BRDFSamples:
+    """The samples of one wavelength or channel, as `read` selects them.
+
+    Parameters
+    ----------
+    samples : BRDFSamples
+    select : mapping
+        As for `read`.
+    where : str
+        What the messages call the samples.
+
+    Raises
+    ------
+    ConfigurationError
+        If `select` has an unknown key or asks for what the samples do not hold.
+    """
+    for key, wanted in select.items():
+        if key == "wavelength":
+            samples = _at_wavelength(samples, str(wanted), where)
+        elif key == "channel":
+            samples = _in_channel(samples, str(wanted), where)
+        else:
+            raise unknown_name("selection", key, SELECTIONS)
+    return samples
+
+
+def _format_of(path: Path) -> ModuleType:
+    if not path.is_file():
+        kind = "a folder, not a file" if path.is_dir() else "no such file"
+        raise DataError(f"{path}: {kind}; give a file of BRDF samples.", value=path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror or error}).", value=path
+        ) from error
+    if not head:
+        raise DataError(f"{path}: the file is empty; give a file of BRDF samples.", value=path)
+    reasons = []
+    for name, module in _all().items():
+        reason = module.mismatch(path, head)
+        if reason is None:
+            return module
+        reasons.append(f"{name}: {reason}")
+    raise DataError(
+        f"{path}: in no known format of BRDF samples; tried {'; '.join(reasons)}.", value=path
+    )
+
+
+def _at_wavelength(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
+    try:
+        wavelength = float(wanted)
+    except ValueError:
+        wavelength = float("nan")
+    if not wavelength > 0:
+        raise ConfigurationError(
+            f"wavelength {wanted!r} is not a positive number; give it in nm, such as 650.",
+            value=wanted,
+        )
+    if samples.wavelength_nm is None:
+        raise ConfigurationError(
+            f"{where}: no wavelengths are stated, so none can be selected; "
+            "leave the selection out.",
+            value=wanted,
+        )
+    listed = np.unique(samples.wavelength_nm)
+    keep = np.abs(samples.wavelength_nm - wavelength) <= _SAME_NM
+    if not keep.any():
+        nearest = listed[np.argmin(np.abs(listed - wavelength))]
+        raise ConfigurationError(
+            f"{where}: no sample at {wavelength:.9g} nm; the nearest is {nearest:.9g} nm. "
+            f"Listed: {_shortened([f'{value:.9g}' for value in listed])}.",
+            value=wavelength,
+        )
+    return samples.select(keep, f"wavelength {wavelength:.9g} nm")
+
+
+def _in_channel(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
+    if samples.channel is None:
+        raise ConfigurationError(
+            f"{where}: no channels are named, so none can be selected; leave the selection out.",
+            value=wanted,
+        )
+    keep = samples.channel == wanted
+    if not keep.any():
+        raise unknown_name(f"channel in {where}", wanted, np.unique(samples.channel).tolist())
+    return samples.select(keep, f"channel {wanted}")
+
+
+def _shortened(items: list[str], most: int = 40) -> str:
+    return ", ".join(items[:most]) + (f" and {len(items) - most} more" if len(items) > most else "")

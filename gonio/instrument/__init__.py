@@ -1,1 +1,121 @@
-"""Stub."""
+"""The virtual instrument: lamp, holder, dome, lens, sensor, standard, surroundings."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from gonio.errors import ConfigurationError, unknown_name
+from gonio.instrument.dome import Dome
+from gonio.instrument.holder import Holder
+from gonio.instrument.lamp import Lamp
+from gonio.instrument.lens import Lens
+from gonio.instrument.part import Part
+from gonio.instrument.sensor import Sensor
+from gonio.instrument.standard import Standard
+from gonio.instrument.surroundings import Surroundings
+
+__all__ = [
+    "Dome",
+    "Holder",
+    "Instrument",
+    "Lamp",
+    "Lens",
+    "Sensor",
+    "Standard",
+    "Surroundings",
+    "load",
+    "preset",
+    "preset_names",
+]
+
+
+class Instrument(Part):
+    """An imaging gonioreflectometer, composed of its parts.
+
+    Examples
+    --------
+    >>> preset("modern12").dome.D
+    15.0
+    """
+
+    name: str
+    description: str = ""
+    usable_theta_r_deg: float = Field(gt=0, le=90, description="rim mask of the reduction")
+    theta_i_max_deg: float = Field(75.0, gt=0, lt=90, description="reach of the lamp arm")
+    rays_per_pixel: int = Field(16, ge=1, le=1024)
+    lamp: Lamp
+    holder: Holder
+    dome: Dome
+    lens: Lens
+    sensor: Sensor
+    standard: Standard
+    surroundings: Surroundings
+
+
+def preset_names() -> list[str]:
+    """Names of the instruments that come with gonio."""
+    return sorted(
+        entry.name.removesuffix(".toml")
+        for entry in (resources.files("gonio.data") / "instruments").iterdir()
+        if entry.name.endswith(".toml")
+    )
+
+
+def preset(name: str) -> Instrument:
+    """An instrument that comes with gonio.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is none of this name, with the nearest one.
+    """
+    if name not in preset_names():
+        raise unknown_name("instrument", name, preset_names())
+    text = (resources.files("gonio.data") / "instruments" / f"{name}.toml").read_text("utf-8")
+    return _parse(text, name)
+
+
+def load(name_or_path: str) -> Instrument:
+    """A preset by its name, or an instrument from a TOML file.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such preset or file, or the file is not a valid instrument.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        return preset(name_or_path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read as text ({error}).", value=path) from None
+    return _parse(text, str(path))
+
+
+def _parse(text: str, where: str) -> Instrument:
+    try:
+        return Instrument.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{where}: not valid TOML: {error}.", value=where) from None
+    except ValidationError as error:
+        raise ConfigurationError(_sentence(where, error), value=where) from None
+
+
+def _sentence(where: str, error: ValidationError) -> str:
+    """The first complaint of pydantic as one sentence, with the nearest name of a wrong key."""
+    first: Any = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        owner: Any = Instrument
+        for part in first["loc"][:-1]:
+            owner = owner.model_fields[part].annotation
+        hint = unknown_name("key", str(first["loc"][-1]), owner.model_fields)
+        return f"{where}: {key}: {hint}"
+    given = "" if first["type"] == "missing" else f" (given: {first['input']!r})"
+    return f"{where}: {key or 'instrument'}: {first['msg']}{given}."

@@ -1,0 +1,265 @@
+"""Adaptive equal-area cells: thin the pixels without moving or blurring the lobe.
+
+The pixels of an image are sorted once along a Morton curve through the equal-area map, so that
+every cell of the quadtree is a run of consecutive pixels. A cell is split while its pixels differ
+by more than their noise and by more than a few per cent; its value is the mean with weights that
+hold no noise of the sample; and it keeps up to 16 members, with the first and second moments of
+all its pixels' areas, so that a fit can integrate the model over the cell as the camera did.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gonio.geometry import FloatArray
+
+BASE = 10  # cells across the disc of the equal-area map before any split
+DEPTH = 6  # levels of splitting
+MAX_SPREAD = 0.05  # of the mean: range of a uniform distribution with the cell's deviation
+MAX_CHI2 = 2.0  # per pixel, of a constant
+MIN_PIXELS = 4
+MAX_MEMBERS = 16
+
+
+def morton_keys(x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
+    """Key of the finest cell of each point of the disc; a prefix of it names the coarser ones.
+
+    Examples
+    --------
+    >>> int(morton_keys(np.array([-1.0]), np.array([-1.0]))[0])
+    0
+    """
+    fine = BASE << DEPTH
+    ix = np.clip(((np.asarray(x) + 1) / 2 * fine).astype(np.int64), 0, fine - 1)
+    iy = np.clip(((np.asarray(y) + 1) / 2 * fine).astype(np.int64), 0, fine - 1)
+    key = (ix >> DEPTH) * BASE + (iy >> DEPTH)
+    for bit in reversed(range(DEPTH)):
+        key = (key << 2) | (((ix >> bit) & 1) << 1) | ((iy >> bit) & 1)
+    return np.asarray(key)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def split(keys, guide, variance, weight):  # type: ignore[no-untyped-def]
+    """Cells of one image as runs of pixels sorted by key: arrays of first and last-plus-one.
+
+    Pixels of weight 0 are masked: they belong to cells but decide nothing. Cells without a good
+    pixel are left out.
+    """
+    n = keys.shape[0]
+    first = np.empty(n, np.int64)
+    last = np.empty(n, np.int64)
+    cells = 0
+    stack = np.empty((4 * (DEPTH + 2), 3), np.int64)
+    start = 0
+    while start < n:
+        stop = start
+        base = keys[start] >> (2 * DEPTH)
+        while stop < n and keys[stop] >> (2 * DEPTH) == base:
+            stop += 1
+        stack[0, 0], stack[0, 1], stack[0, 2] = start, stop, 0
+        height = 1
+        while height > 0:
+            height -= 1
+            a, b, level = stack[height, 0], stack[height, 1], stack[height, 2]
+            good, must = _must_split(guide, variance, weight, a, b)
+            if good == 0:
+                continue
+            if must and level < DEPTH:
+                shift = 2 * (DEPTH - level - 1)
+                child = a
+                while child < b:
+                    end = child
+                    prefix = keys[child] >> shift
+                    while end < b and keys[end] >> shift == prefix:
+                        end += 1
+                    stack[height, 0], stack[height, 1], stack[height, 2] = child, end, level + 1
+                    height += 1
+                    child = end
+            else:
+                first[cells], last[cells] = a, b
+                cells += 1
+        start = stop
+    return first[:cells].copy(), last[:cells].copy()
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _must_split(guide, variance, weight, a, b):  # type: ignore[no-untyped-def]
+    """Number of good pixels of a run, and whether they differ too much for one cell."""
+    good = 0
+    mean = 0.0
+    for k in range(a, b):
+        if weight[k] > 0:
+            good += 1
+            mean += guide[k]
+    if good <= MIN_PIXELS:
+        return good, False
+    mean /= good
+    chi2 = 0.0
+    square = 0.0
+    for k in range(a, b):
+        if weight[k] > 0:
+            d = guide[k] - mean
+            square += d * d
+            chi2 += d * d / variance[k]
+    spread = np.sqrt(12 * square / good)
+    return good, chi2 / good > MAX_CHI2 and spread > MAX_SPREAD * abs(mean)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def gather(first, last, weight, columns, vectors, area):  # type: ignore[no-untyped-def]
+    """Weighted means of each cell.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (4, n)
+        value, and three terms of its variance, of every pixel.
+    vectors : ndarray, shape (n, 3)
+        Viewing direction of every pixel.
+    area : ndarray, shape (n,)
+        Solid angle of every pixel.
+
+    Returns
+    -------
+    means : ndarray, shape (4, cells)
+        sum w v / sum w for the value, sum w^2 v / (sum w)^2 for the variance terms.
+    centroid : ndarray, shape (cells, 3)
+    solid_angle : ndarray, shape (cells,)
+    partial : ndarray of bool, shape (cells,)
+    """
+    cells = first.shape[0]
+    means = np.zeros((4, cells))
+    centroid = np.zeros((cells, 3))
+    solid_angle = np.zeros(cells)
+    partial = np.zeros(cells, np.bool_)
+    for c in range(cells):
+        total = 0.0
+        for k in range(first[c], last[c]):
+            w = weight[k]
+            if w <= 0:
+                partial[c] = True
+                continue
+            total += w
+            means[0, c] += w * columns[0, k]
+            for j in range(1, 4):
+                means[j, c] += w * w * columns[j, k]
+            for j in range(3):
+                centroid[c, j] += w * vectors[k, j]
+            solid_angle[c] += area[k]
+        means[0, c] /= total
+        for j in range(1, 4):
+            means[j, c] /= total * total
+        norm = np.sqrt(np.sum(centroid[c] ** 2))
+        for j in range(3):
+            centroid[c, j] /= norm
+    return means, centroid, solid_angle, partial
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def members(first, last, weight, guide, points, centroid):  # type: ignore[no-untyped-def]
+    """Members of each cell: directions, weights and offsets.
+
+    Every pixel brings its four Gauss points, which integrate over its area. Up to 16 points are
+    kept as they are; more are merged into a grid of groups whose centroids are then stretched
+    about the cell's mean until their second moments are those of all points.
+    """
+    cells = first.shape[0]
+    w_r = np.empty((cells * MAX_MEMBERS, 3))
+    share = np.empty(cells * MAX_MEMBERS)
+    offsets = np.zeros(cells + 1, np.int64)
+    count = 0
+    most = 1
+    for c in range(cells):
+        most = max(most, last[c] - first[c])
+    u = np.empty(4 * most)
+    v = np.empty(4 * most)
+    g = np.empty(4 * most)
+    for c in range(cells):
+        e1, e2 = _tangents(centroid[c])
+        n = 0
+        low, high = np.inf, -np.inf
+        for k in range(first[c], last[c]):
+            if weight[k] > 0:
+                low, high = min(low, guide[k]), max(high, guide[k])
+                for j in range(4):
+                    u[n] = np.dot(points[k, j], e1)
+                    v[n] = np.dot(points[k, j], e2)
+                    g[n] = weight[k] / 4
+                    n += 1
+        total = np.sum(g[:n])
+        g[:n] /= total
+        side = 2 if high - low < MAX_SPREAD * abs(high) else 4
+        if n > MAX_MEMBERS:
+            n = _merge_points(u, v, g, n, side)
+        for k in range(n):
+            rest = np.sqrt(max(1 - u[k] * u[k] - v[k] * v[k], 0.0))
+            for j in range(3):
+                w_r[count, j] = u[k] * e1[j] + v[k] * e2[j] + rest * centroid[c, j]
+            share[count] = g[k]
+            count += 1
+        offsets[c + 1] = count
+    return w_r[:count].copy(), share[:count].copy(), offsets
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _tangents(w):  # type: ignore[no-untyped-def]
+    """Two unit vectors across the unit vector w."""
+    e1 = np.empty(3)
+    if abs(w[0]) < 0.9:
+        e1[0], e1[1], e1[2] = 1 - w[0] * w[0], -w[0] * w[1], -w[0] * w[2]
+    else:
+        e1[0], e1[1], e1[2] = -w[1] * w[0], 1 - w[1] * w[1], -w[1] * w[2]
+    e1 /= np.sqrt(np.sum(e1 * e1))
+    e2 = np.array(
+        [w[1] * e1[2] - w[2] * e1[1], w[2] * e1[0] - w[0] * e1[2], w[0] * e1[1] - w[1] * e1[0]]
+    )
+    return e1, e2
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _merge_points(u, v, g, n, side):  # type: ignore[no-untyped-def]
+    """Merge n weighted points in place into at most side^2, moments kept; returns how many."""
+    before = _moments(u, v, g, n)
+    u0, u1 = np.min(u[:n]), np.max(u[:n]) + 1e-12
+    v0, v1 = np.min(v[:n]), np.max(v[:n]) + 1e-12
+    grid = np.zeros((side * side, 3))
+    for k in range(n):
+        i = int((u[k] - u0) / (u1 - u0) * side)
+        j = int((v[k] - v0) / (v1 - v0) * side)
+        cell = grid[min(i, side - 1) * side + min(j, side - 1)]
+        cell[0] += g[k] * u[k]
+        cell[1] += g[k] * v[k]
+        cell[2] += g[k]
+    m = 0
+    for k in range(side * side):
+        if grid[k, 2] > 0:
+            u[m], v[m], g[m] = grid[k, 0] / grid[k, 2], grid[k, 1] / grid[k, 2], grid[k, 2]
+            m += 1
+    after = _moments(u, v, g, m)
+    # Lower Cholesky factors of both covariances; their quotient maps one onto the other.
+    a11, b11 = np.sqrt(before[2]), np.sqrt(max(after[2], 0.0))
+    a21 = before[3] / a11
+    a22 = np.sqrt(max(before[4] - a21 * a21, 0.0))
+    if b11 < 1e-9:
+        return m
+    b21 = after[3] / b11
+    b22 = np.sqrt(max(after[4] - b21 * b21, 0.0))
+    if b22 < 1e-9:
+        return m
+    for k in range(m):
+        du, dv = u[k] - after[0], v[k] - after[1]
+        s = du / b11
+        t = (dv - b21 * s) / b22
+        u[k] = before[0] + a11 * s
+        v[k] = before[1] + a21 * s + a22 * t
+    return m
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _moments(u, v, g, n):  # type: ignore[no-untyped-def]
+    """Means, variances and covariance (mu, mv, suu, suv, svv) of weighted points."""
+    mu = np.sum(g[:n] * u[:n])
+    mv = np.sum(g[:n] * v[:n])
+    du, dv = u[:n] - mu, v[:n] - mv
+    return mu, mv, np.sum(g[:n] * du * du), np.sum(g[:n] * du * dv), np.sum(g[:n] * dv * dv)

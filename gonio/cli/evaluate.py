@@ -1,0 +1,82 @@
+"""`gonio evaluate`: a reflectance model at the directions of a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from gonio.models import Model
+
+
+@click.command(name="evaluate")
+@click.argument("model", required=False)
+@click.option("--material", help="A named material instead of MODEL; see 'gonio materials'.")
+@click.option(
+    "-p",
+    "--parameter",
+    "items",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A parameter of the model, angles in degrees; repeat for each. See 'gonio models MODEL'.",
+)
+@click.option(
+    "--angles",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="CSV with the columns theta_i, phi_i, theta_r, phi_r in degrees.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="CSV to write; standard output where not given.",
+)
+def command(
+    model: str | None,
+    material: str | None,
+    items: tuple[str, ...],
+    angles: Path,
+    output: Path | None,
+) -> None:
+    """Evaluate a model: BRDF in sr^-1, cosine not included.
+
+    The output is a CSV of the four angles and the column brdf, with 17 significant digits. With
+    --material, -p replaces single parameters of the material.
+    """
+    from gonio.files import write_text
+    from gonio.formats.gonio_csv import directions_table, read_directions
+
+    chosen, parameters = _model_and_parameters(model, material, items)
+    directions = read_directions(angles)
+    text = directions_table(directions, chosen(directions, **parameters))
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        write_text(output, text)
+
+
+def _model_and_parameters(
+    model: str | None, material: str | None, items: tuple[str, ...]
+) -> tuple[Model, dict[str, float]]:
+    from gonio import materials, models
+    from gonio.cli.options import file_text, parse_parameters
+
+    if (model is None) == (material is None):
+        given = "both were given" if model else "neither was given"
+        raise ConfigurationError(f"give a MODEL or --material NAME; {given}.")
+    if material is not None:
+        named = materials.get(material)
+        chosen = models.get(named.model)
+        return chosen, {**named.parameters, **parse_parameters(chosen, items)}
+    chosen = models.get(str(model))
+    parameters = parse_parameters(chosen, items)
+    left_out = [p for p in chosen.parameters if p.name not in parameters]
+    if left_out:
+        defaults = ", ".join(f"{p.name} = {file_text(p, p.default)}" for p in left_out)
+        click.echo(f"Default values are used for {defaults}.", err=True)
+    return chosen, parameters

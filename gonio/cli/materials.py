@@ -1,0 +1,74 @@
+"""`gonio materials`: the papers' named materials."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import rich_click as click
+
+if TYPE_CHECKING:
+    from gonio.materials import Material
+
+
+@click.command(name="materials")
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+def command(name: str | None, as_json: bool) -> None:
+    """List the papers' materials, or show one.
+
+    With NAME the note on that material is shown too. Angles are degrees.
+    """
+    from gonio import materials
+    from gonio.cli.options import echo_json
+
+    chosen = [materials.get(each) for each in ([name] if name else materials.names())]
+    if as_json:
+        documents = [material.describe() for material in chosen]
+        echo_json(documents[0] if name else documents)
+    elif name:
+        _show_one(chosen[0])
+    else:
+        _show_all(chosen)
+
+
+def _show_all(chosen: list[Material]) -> None:
+    from rich.table import Table
+
+    from gonio.cli.options import table_console
+
+    table = Table("name", "model", "parameters", "paper", "where")
+    table.columns[0].no_wrap = True
+    for material in chosen:
+        # Author and year: the full reference stands in the view of one material.
+        short = material.paper.partition(",")[0]
+        table.add_row(material.name, material.model, _parameters(material), short, material.where)
+    table_console().print(table)
+
+
+def _show_one(material: Material) -> None:
+    from gonio.cli.options import table_console
+
+    rows = {
+        "name": material.name,
+        "title": material.title,
+        "model": material.model,
+        "parameters": _parameters(material),
+        "anisotropic": "yes" if material.anisotropic else "no",
+        "paper": material.paper,
+        "where": material.where,
+        "note": material.note,
+    }
+    console = table_console()
+    for label, text in rows.items():
+        console.print(f"{label:<12} {text}")
+
+
+def _parameters(material: Material) -> str:
+    from gonio import models
+    from gonio.cli.options import file_text
+
+    model = models.get(material.model)
+    return ", ".join(
+        f"{name}={file_text(model.parameter(name), value)}"
+        for name, value in material.parameters.items()
+    )

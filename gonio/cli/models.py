@@ -1,0 +1,67 @@
+"""`gonio models`: the reflectance models, their parameters and formulas."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import rich_click as click
+
+if TYPE_CHECKING:
+    from gonio.models import Model
+
+
+@click.command(name="models")
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+def command(name: str | None, as_json: bool) -> None:
+    """List the reflectance models, or show one.
+
+    With NAME the parameters (angles in degrees) and the formula of that model are shown.
+    """
+    from gonio import models
+    from gonio.cli.options import echo_json
+
+    chosen = [models.get(each) for each in ([name] if name else models.names())]
+    if as_json:
+        documents = [model.describe() for model in chosen]
+        echo_json(documents[0] if name else documents)
+    elif name:
+        _show_one(chosen[0])
+    else:
+        _show_all(chosen)
+
+
+def _show_all(chosen: list[Model]) -> None:
+    from rich.table import Table
+
+    from gonio.cli.options import table_console
+
+    table = Table("name", "title", "parameters", "reference")
+    table.columns[0].no_wrap = True
+    for model in chosen:
+        table.add_row(model.name, model.title, ", ".join(model.names), model.reference)
+    table_console().print(table)
+
+
+def _show_one(model: Model) -> None:
+    from rich.table import Table
+
+    from gonio.cli.options import file_range, file_text, table_console
+
+    console = table_console()
+    console.print(f"{model.name}: {model.title}")
+    console.print(f"reference: {model.reference}")
+    if model.validity:
+        console.print(f"validity: {model.validity}")
+    table = Table("parameter", "symbol", "unit", "allowed", "default", "meaning")
+    for parameter in model.parameters:
+        table.add_row(
+            parameter.name,
+            parameter.symbol,
+            parameter.file_unit or "1",
+            file_range(parameter),
+            file_text(parameter, parameter.default),
+            parameter.meaning,
+        )
+    console.print(table)
+    console.print(str(model.describe()["documentation"]))

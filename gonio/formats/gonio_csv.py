@@ -1,0 +1,258 @@
+"""gonio's own table: one line is one sample, angles in degrees.
+
+The header names the columns, in any order: ``theta_i, phi_i, theta_r, phi_r`` (degrees; both
+directions leave the surface; phi from +x, counter-clockwise seen from outside) and ``brdf``
+(sr^-1, cosine not included), and where known ``u_brdf`` (standard uncertainty, sr^-1),
+``channel`` (a name) and ``wavelength_nm``. A file of directions needs the angles only.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.errors import DataError
+from gonio.files import write_text
+from gonio.formats._text import Lines, Table, check_polar, numbers, open_text
+from gonio.geometry import Directions, FloatArray
+from gonio.samples import BRDFSamples
+
+NAME = "gonio_csv"
+TITLE = "gonio CSV: theta_i, phi_i, theta_r, phi_r in degrees and brdf"
+
+ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
+REQUIRED = (*ANGLES, "brdf")
+OPTIONAL = ("u_brdf", "channel", "wavelength_nm")
+COLUMNS = (*REQUIRED, *OPTIONAL)
+
+
+def mismatch(path: Path, head: bytes) -> str | None:
+    """Why the file is not in this format, or None where it is."""
+    if b"\0" in head:
+        return "it is not UTF-8 text"
+    first = head.decode("utf-8-sig", errors="replace").lstrip().split("\n", 1)[0]
+    names = {cell.strip() for cell in first.replace(";", ",").replace("\t", ",").split(",")}
+    if names.isdisjoint(COLUMNS) and path.suffix.lower() != ".csv":
+        return f"its first line names none of the columns {', '.join(REQUIRED)}"
+    return None
+
+
+def read(path: str | Path) -> BRDFSamples:
+    """Samples from a gonio CSV.
+
+    Parameters
+    ----------
+    path : str or Path
+        File with the columns of this module's description.
+
+    Returns
+    -------
+    BRDFSamples
+        One sample a line, in the order of the file. Values below zero are kept.
+
+    Raises
+    ------
+    DataError
+        If a column is missing or unknown, or a cell cannot be used: the message names the line,
+        the column and the value.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "one.csv"
+    >>> n = file.write_text("theta_i,phi_i,theta_r,phi_r,brdf\\n30,0,45,180,0.25\\n")
+    >>> samples = read(file)
+    >>> len(samples), float(samples.value[0])
+    (1, 0.25)
+    """
+    columns = _read_columns(Path(path), REQUIRED)
+    return BRDFSamples(
+        directions=Directions(*(columns[name] for name in ANGLES)),
+        value=columns["brdf"],
+        u_independent=columns.get("u_brdf"),
+        wavelength_nm=columns.get("wavelength_nm"),
+        channel=columns.get("channel"),
+    )
+
+
+def write(path: str | Path, samples: BRDFSamples) -> None:
+    """Write samples as gonio CSV, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Target; an existing file is replaced.
+    samples : BRDFSamples
+        Directions, values and, where known, `u_independent`, channel and wavelength are written.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+
+    Notes
+    -----
+    Numbers carry 17 significant digits, so values come back bit for bit. Angles are turned to
+    degrees such that they come back to the same bits of a radian wherever a double does that;
+    elsewhere they come back to the nearest. What `read` made always comes back unchanged.
+    Shared terms, cells and history have no column here: `BRDFSamples.save` keeps them.
+    """
+    columns: dict[str, Sequence[str]] = {"brdf": _printed(samples.value)}
+    if samples.u_independent is not None:
+        columns["u_brdf"] = _printed(samples.u_independent)
+    if samples.channel is not None:
+        columns["channel"] = samples.channel.tolist()
+    if samples.wavelength_nm is not None:
+        columns["wavelength_nm"] = _printed(samples.wavelength_nm)
+    write_text(Path(path), _table(samples.directions, columns))
+
+
+def read_directions(path: str | Path) -> Directions:
+    """The directions of a file that has the four angle columns.
+
+    Columns of samples (``brdf`` and so on) may stand beside them and are not read. Polar angles
+    may reach 180 degrees: a model returns 0 beyond the horizon.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV with the columns theta_i, phi_i, theta_r, phi_r in degrees.
+
+    Returns
+    -------
+    Directions
+        Shape (N,), radians.
+
+    Raises
+    ------
+    DataError
+        As `read`.
+    """
+    columns = _read_columns(Path(path), ANGLES)
+    return Directions(*(columns[name] for name in ANGLES))
+
+
+def directions_table(directions: Directions, brdf: FloatArray) -> str:
+    """The text of a CSV with the four angles, degrees, and the column brdf, sr^-1.
+
+    Parameters
+    ----------
+    directions : Directions
+        Shape (N,), radians.
+    brdf : ndarray, shape (N,)
+        BRDF, sr^-1, cosine not included.
+
+    Examples
+    --------
+    >>> print(directions_table(Directions([0.0], 0.0, np.pi / 4, np.pi), np.array([0.5])), end="")
+    theta_i,phi_i,theta_r,phi_r,brdf
+    0,0,45,180,0.5
+    """
+    return _table(directions, {"brdf": _printed(brdf)})
+
+
+def _read_columns(path: Path, required: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    wanted = required if required == ANGLES else COLUMNS
+    limit_deg = 180.0 if required == ANGLES else 90.0
+    parts: dict[str, list[NDArray[Any]]] = {}
+    with open_text(path) as file:
+        table = Table(path, file)
+        _check_header(path, table.header, required)
+        for lines, columns in table.blocks():
+            for name, cells in zip(table.header, columns, strict=True):
+                if name in wanted:
+                    part = _column(path, lines, name, cells, limit_deg)
+                    parts.setdefault(name, []).append(part)
+    return {name: np.concatenate(part) for name, part in parts.items()}
+
+
+def _check_header(path: Path, header: list[str], required: tuple[str, ...]) -> None:
+    for name in header:
+        if name not in COLUMNS:
+            near = get_close_matches(name.lower(), COLUMNS, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise DataError(
+                f"{path}: unknown column {name!r}: {hint}Allowed: {', '.join(COLUMNS)}.",
+                value=name,
+            )
+    missing = [name for name in required if name not in header]
+    if missing:
+        raise DataError(
+            f"{path}: no column {', '.join(missing)} in the header {','.join(header)!r}; "
+            f"wanted are {', '.join(required)}, angles in degrees.",
+            value=missing,
+        )
+
+
+def _column(
+    path: Path, lines: Lines, name: str, cells: Sequence[str], limit_deg: float
+) -> NDArray[Any]:
+    if name == "channel":
+        return _channels(path, lines, cells)
+    values = numbers(path, lines, name, cells)
+    if name in ("theta_i", "theta_r"):
+        azimuth = name.replace("theta", "phi")
+        return check_polar(path, lines, name, values, azimuth=azimuth, limit_deg=limit_deg)
+    if name in ("phi_i", "phi_r"):
+        return np.radians(values)
+    if name in ("u_brdf", "wavelength_nm") and not np.all(values > 0):
+        k = int(np.flatnonzero(values <= 0)[0])
+        raise DataError(
+            f"{path}: line {lines[k]}, column {name}: {values[k]:.12g} is not positive; "
+            "leave the column out where it is unknown.",
+            value=float(values[k]),
+        )
+    return values
+
+
+def _channels(path: Path, lines: Lines, cells: Sequence[str]) -> NDArray[np.str_]:
+    names = np.array([cell.strip() for cell in cells], dtype=np.str_)
+    if np.any(names == ""):
+        k = int(np.flatnonzero(names == "")[0])
+        raise DataError(
+            f"{path}: line {lines[k]}, column channel: the name is empty; "
+            "name every channel or leave the column out.",
+            value="",
+        )
+    return names
+
+
+def _table(directions: Directions, columns: dict[str, Sequence[str]]) -> str:
+    shape = directions.shape
+    angles = [
+        _printed(_degrees(np.broadcast_to(getattr(directions, name), shape))) for name in ANGLES
+    ]
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*ANGLES, *columns])
+    writer.writerows(zip(*angles, *columns.values(), strict=True))
+    return text.getvalue()
+
+
+def _printed(values: FloatArray) -> list[str]:
+    return [f"{value:.17g}" for value in values.tolist()]
+
+
+def _degrees(radians: NDArray[Any]) -> FloatArray:
+    """Degrees that `np.radians` takes back to the same bits, short ones first."""
+    exact = np.degrees(radians)
+    best = np.array(exact)
+    todo = np.ones(best.shape, dtype=bool)
+    candidates = [np.round(exact, 10), np.round(exact, 12), exact]
+    for side in (-np.inf, np.inf):
+        step = exact
+        for _ in range(2):
+            step = np.nextafter(step, side)
+            candidates.append(step)
+    for candidate in candidates:
+        hit = todo & (np.radians(candidate) == radians)
+        best[hit] = candidate[hit]
+        todo &= ~hit
+    return best

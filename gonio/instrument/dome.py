@@ -1,0 +1,152 @@
+"""The half-silvered dome: exact reflection in a hemisphere or a hemi-ellipsoid.
+
+Frame: z is the sample's normal, the dome's centre O lies on the plane z = 0 of the sample, the
+camera's pupil is C = (0, -D, 0) and the target T = (0, D, 0). The ellipsoid has its foci in C and
+T: semi-axes R in x and z, sqrt(R^2 + D^2) in y.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+
+from gonio.geometry import FloatArray, angles, unit_vectors
+from gonio.instrument.part import Part
+
+
+class Dome(Part):
+    """Shape and coating of the dome.
+
+    Examples
+    --------
+    The pixel that looks straight up sees, in an ellipsoid, the ray that T sends to the same point:
+
+    >>> theta_r, phi_r = Dome(shape="ellipsoid", R=150.0, D=15.0).reflected_angles(0.0, 0.0)
+    >>> round(float(np.degrees(theta_r)), 3), round(float(np.degrees(phi_r)), 3)
+    (11.366, -90.0)
+    """
+
+    shape: Literal["sphere", "ellipsoid"] = "ellipsoid"
+    R: float = Field(gt=0, description="radius of the sphere, semi-minor axis of the ellipsoid, mm")
+    D: float = Field(gt=0, description="half the separation of camera and target, mm")
+    reflectance: float = Field(0.45, gt=0, lt=1, description="R_d of the coating")
+    transmittance: float = Field(0.45, gt=0, lt=1, description="T_d, light's way in")
+    slope_error_deg: float = Field(0.0, ge=0, description="sd of the surface slope at the zenith")
+    rim_slope_error_deg: float = Field(
+        0.0, ge=0, description="sd of the slope at the rim, added as (theta/90 deg)^6"
+    )
+    slope_correlation_deg: float = Field(
+        10.0, gt=0, description="distance over which slope errors are alike"
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Dome:
+        if self.D >= self.R:
+            raise ValueError(f"D = {self.D} mm must be smaller than R = {self.R} mm")
+        if self.reflectance + self.transmittance > 1:
+            raise ValueError("reflectance + transmittance must not exceed 1")
+        return self
+
+    @property
+    def semi_axis_y(self) -> float:
+        """Semi-axis along the line from camera to target, mm."""
+        return float(np.hypot(self.R, self.D)) if self.shape == "ellipsoid" else self.R
+
+    def reflected_angles(
+        self, theta_c: ArrayLike, phi_c: ArrayLike
+    ) -> tuple[FloatArray, FloatArray]:
+        """Directions from the sample to the dome that the camera's chief rays see, exactly.
+
+        The ray from C is reflected by the law of reflection and followed to the plane of the
+        sample; the direction given is the reverse of its last leg.
+
+        Parameters
+        ----------
+        theta_c, phi_c : array_like
+            Polar angle and azimuth at the camera, radians.
+
+        Returns
+        -------
+        theta_r, phi_r : ndarray
+            Radians.
+        """
+        w_c = unit_vectors(theta_c, phi_c)
+        pupil = np.broadcast_to([0.0, -self.D, 0.0], w_c.shape)
+        w_r, _ = self.trace(pupil, w_c)
+        return angles(w_r)
+
+    def trace(
+        self, origin: FloatArray, direction: FloatArray, slope: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Follow rays from the camera side to the plane of the sample.
+
+        Parameters
+        ----------
+        origin, direction : ndarray, shape (..., 3)
+            Points inside the dome in mm and unit vectors.
+        slope : ndarray, shape (..., 2), optional
+            Slope errors of the dome where the rays meet it, radians, along the two tangents that
+            lie closest to x and y.
+
+        Returns
+        -------
+        w_r : ndarray, shape (..., 3)
+            Unit vectors from the sample back to the dome; z <= 0 marks a ray that never lands.
+        landing : ndarray, shape (..., 2)
+            Where the rays meet the plane z = 0, mm from the target T.
+        """
+        point = self.hit(origin, direction)
+        axes = np.array([self.R, self.semi_axis_y, self.R])
+        normal = point / axes**2
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        if slope is not None:
+            normal = _tilted(normal, slope)
+        down = direction - 2 * np.sum(direction * normal, axis=-1, keepdims=True) * normal
+        # A ray that grazes or leaves upwards lands far outside any sample.
+        z = np.minimum(down[..., 2], -1e-9)
+        landing = point[..., :2] - (point[..., 2] / z)[..., None] * down[..., :2]
+        return -down, landing - np.array([0.0, self.D])
+
+    def hit(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
+        """Points of the dome, mm, that rays from inside meet: the far root of the quadratic."""
+        axes = np.array([self.R, self.semi_axis_y, self.R])
+        o, d = origin / axes, direction / axes
+        a = np.sum(d * d, axis=-1)
+        b = np.sum(o * d, axis=-1)
+        c = np.sum(o * o, axis=-1) - 1
+        t = (-b + np.sqrt(b * b - a * c)) / a
+        return np.asarray(origin + t[..., None] * direction)
+
+    def slope_errors(self, point: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Slope errors (..., 2) in radians at points of the dome, a smooth random field.
+
+        A sum of plane waves in space with Gaussian wave numbers: its correlation falls as
+        exp(-s^2 / 2 c^2) with the distance s, c being `slope_correlation_deg` as an arc of R. The
+        field belongs to the dome: one seed, one field.
+        """
+        waves = 64
+        k = rng.normal(size=(waves, 3)) / np.radians(self.slope_correlation_deg)
+        phase = rng.uniform(0, 2 * np.pi, size=(2, waves))
+        theta = np.arctan2(np.hypot(point[..., 0], point[..., 1]), point[..., 2])
+        sd = np.radians(
+            self.slope_error_deg + self.rim_slope_error_deg * (theta / (np.pi / 2)) ** 6
+        )
+        unit = point / self.R
+        field = np.zeros((*point.shape[:-1], 2))
+        for wave in range(waves):
+            argument = unit @ k[wave]
+            for axis in range(2):
+                field[..., axis] += np.cos(argument + phase[axis, wave])
+        return field * np.sqrt(2 / waves) * sd[..., None]
+
+
+def _tilted(normal: FloatArray, slope: FloatArray) -> FloatArray:
+    x_hat = np.array([1.0, 0.0, 0.0])
+    t_x = x_hat - normal[..., :1] * normal
+    t_x /= np.maximum(np.linalg.norm(t_x, axis=-1, keepdims=True), 1e-12)
+    t_y = np.cross(normal, t_x)
+    tilted = normal + slope[..., :1] * t_x + slope[..., 1:] * t_y
+    return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))

@@ -1,0 +1,390 @@
+"""Raw frames and what a rig knows about them, on disk.
+
+A session is a folder:
+
+- `session.json`: metadata, written first, synced and renamed;
+- `frames.zarr`: zarr v3, one array a role, one chunk a frame;
+- `manifest.jsonl`: one line a frame with its crc32, appended and synced after the frame itself is
+  on the disk. A frame is in the session when its line is: a crash loses at most the frame that
+  was being written.
+
+A simulated session has a folder `truth` beside these, written by the simulator; nothing in this
+module reads it but `read_truth`, which the reduction never calls.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from gonio.errors import ConfigurationError, DataError
+from gonio.files import write_text
+
+SCHEMA = "gonio.session/1"
+ROLES = ("background", "standard", "sample")
+MAX_FRAME_PIXELS = 1 << 28
+MAX_FRAMES = 1 << 24
+
+Role = Literal["background", "standard", "sample"]
+Frame = NDArray[np.uint16]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Geometry(_Record):
+    """The dome as its builder knows it; lengths in mm."""
+
+    shape: Literal["sphere", "ellipsoid"]
+    R: float = Field(gt=0)
+    D: float = Field(gt=0)
+    usable_theta_r_deg: float = Field(gt=0, le=90)
+
+
+class LensCalibration(_Record):
+    """Pixel to angle: position on the sensor = centre + pitch (pixel), r = f(theta)."""
+
+    projection: Literal["equidistant", "equisolid", "kannala_brandt"]
+    focal_length_mm: float = Field(gt=0)
+    k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    field_deg: float = Field(180.0, gt=0, le=180)
+
+
+class Camera(_Record):
+    """The frames' pixels: binned figures, as the counts in the frames are."""
+
+    rows: int = Field(gt=0)
+    columns: int = Field(gt=0)
+    pitch_mm: tuple[float, float]
+    gain_dn_per_e: float = Field(gt=0)
+    black_dn: float = Field(ge=0)
+    saturation_dn: int = Field(gt=0, le=65535)
+    full_well_e: float = Field(gt=0)
+    noise_dn: float = Field(ge=0)
+    dark_e_per_s: float = Field(ge=0)
+
+
+class Certificate(_Record):
+    """The white standard's certificate: f = reflectance/pi (1 - rolloff (theta_r/75 deg)^4)."""
+
+    reflectance: float = Field(gt=0, le=1)
+    uncertainty: float = Field(ge=0, description="relative standard uncertainty")
+    rolloff: float = Field(0.0, ge=0)
+
+
+class LampRecord(_Record):
+    """What is known of the lamp."""
+
+    half_angle_deg: float = Field(ge=0)
+    drift: float = Field(ge=0, description="relative sd of the output, image to image")
+
+
+class Plan(_Record):
+    """Which frames are taken: angles in degrees, exposures in seconds."""
+
+    theta_i_deg: tuple[float, ...] = Field(min_length=1)
+    rotations_deg: tuple[float, ...] = Field(min_length=1)
+    exposures_s: tuple[float, ...] = Field(min_length=1)
+    repeats: int = Field(1, ge=1, description="takes of each background and standard frame")
+
+    def takes(self, role: str) -> int:
+        """Rotations for the sample, repeats for background and standard."""
+        return len(self.rotations_deg) if role == "sample" else self.repeats
+
+    def images(self) -> Iterator[tuple[Role, int, int]]:
+        """(role, take, incidence) in the order in which they are taken."""
+        for role in ("background", "standard", "sample"):
+            for take in range(self.takes(role)):
+                for incidence in range(len(self.theta_i_deg)):
+                    yield role, take, incidence  # type: ignore[misc]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of a complete session."""
+        takes = sum(self.takes(role) for role in ROLES)
+        return takes * len(self.theta_i_deg) * len(self.exposures_s)
+
+
+class Metadata(_Record):
+    """Everything that calibration may know, for a simulated or a real rig."""
+
+    schema_: str = Field(SCHEMA, alias="schema")
+    instrument: str
+    sample: str = Field(description="name of the sample, as the operator wrote it")
+    geometry: Geometry
+    lens: LensCalibration
+    camera: Camera
+    standard: Certificate
+    lamp: LampRecord
+    plan: Plan
+    fingerprint: str = Field("", description="hash of what made the session; resuming checks it")
+
+
+class Session:
+    """Raw frames of one sample with their metadata.
+
+    Examples
+    --------
+    `Session.open(path).frame("sample", take=0, incidence=3, exposure=1)` is a uint16 array whose
+    crc32 has been checked against the manifest.
+    """
+
+    def __init__(self, path: Path, metadata: Metadata, manifest: dict[str, int]) -> None:
+        self.path = path
+        self.metadata = metadata
+        self._manifest = manifest
+        self._arrays: dict[str, Any] = {}
+
+    @classmethod
+    def create(cls, path: str | Path, metadata: Metadata) -> Session:
+        """Make a new, empty session folder, or continue one that the same command began.
+
+        Raises
+        ------
+        ConfigurationError
+            If something else stands at `path`.
+        DataError
+            If the folder cannot be written.
+        """
+        path = Path(path)
+        if (path / "session.json").exists():
+            session = cls.open(path)
+            if session.metadata.fingerprint != metadata.fingerprint:
+                raise ConfigurationError(
+                    f"{path}: holds a session of {session.metadata.sample} on "
+                    f"{session.metadata.instrument} made with other settings or another seed; "
+                    "give another folder or delete it.",
+                    value=path,
+                )
+            return session
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise ConfigurationError(
+                f"{path}: exists and is not a session; give another name.", value=path
+            )
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            _create_arrays(path / "frames.zarr", metadata)
+            (path / "manifest.jsonl").touch()
+        except OSError as error:
+            raise _refused(path, error) from error
+        # session.json comes last: a folder without it is not a session yet.
+        write_text(path / "session.json", metadata.model_dump_json(by_alias=True, indent=1) + "\n")
+        return cls(path, metadata, {})
+
+    @classmethod
+    def open(cls, path: str | Path) -> Session:
+        """Open a session for reading or for continuing.
+
+        Raises
+        ------
+        DataError
+            If there is no session at `path` or its metadata or manifest cannot be understood.
+        """
+        path = Path(path)
+        if not path.exists():
+            raise DataError(f"{path}: no such session; give a folder that 'gonio simulate' wrote.")
+        file = path / "session.json"
+        if not file.is_file():
+            raise DataError(f"{path}: not a session, session.json is missing.", value=path)
+        try:
+            metadata = Metadata.model_validate_json(file.read_bytes())
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"]) or "content"
+            raise DataError(f"{file}: {key}: {first['msg']}.", value=file) from None
+        if metadata.schema_ != SCHEMA:
+            raise DataError(f"{file}: schema {metadata.schema_!r} is not {SCHEMA!r}.", value=file)
+        if metadata.camera.rows * metadata.camera.columns > MAX_FRAME_PIXELS:
+            raise DataError(f"{file}: frames of more than {MAX_FRAME_PIXELS} pixels are refused.")
+        if metadata.plan.n_frames > MAX_FRAMES:
+            raise DataError(f"{file}: more than {MAX_FRAMES} frames are refused.")
+        return cls(path, metadata, _read_manifest(path / "manifest.jsonl", metadata.plan))
+
+    @property
+    def n_done(self) -> int:
+        """Number of frames that are safely on the disk."""
+        return len(self._manifest)
+
+    @property
+    def complete(self) -> bool:
+        """True when every frame of the plan is there."""
+        return self.n_done == self.metadata.plan.n_frames
+
+    def require_complete(self) -> None:
+        """Raise DataError unless every frame is there."""
+        if not self.complete:
+            raise DataError(
+                f"{self.path}: {self.n_done} of {self.metadata.plan.n_frames} frames are there; "
+                "run the same 'gonio simulate' command again to finish it.",
+                value=self.path,
+            )
+
+    def has(self, role: str, take: int, incidence: int, exposure: int) -> bool:
+        """True if this frame is safely on the disk."""
+        return _key(role, take, incidence, exposure) in self._manifest
+
+    def frame(self, role: str, take: int, incidence: int, exposure: int) -> Frame:
+        """One raw frame, shape (rows, columns), checked against its crc32.
+
+        Raises
+        ------
+        DataError
+            If the frame is missing, cannot be read, or its content has changed.
+        """
+        key = _key(role, take, incidence, exposure)
+        if key not in self._manifest:
+            raise DataError(f"{self.path}: frame {key} is missing.", value=key)
+        try:
+            frame: Frame = np.asarray(self._array(role)[take, incidence, exposure])
+        except Exception as error:  # zarr's codecs raise many kinds
+            raise DataError(
+                f"{self.path}: frame {key} cannot be read ({error}); it is damaged, take it again.",
+                value=key,
+            ) from error
+        if zlib.crc32(frame.tobytes()) != self._manifest[key]:
+            raise DataError(
+                f"{self.path}: frame {key} fails its crc32 check; it is damaged, take it again.",
+                value=key,
+            )
+        return frame
+
+    def bracket(self, role: str, take: int, incidence: int) -> Frame:
+        """All exposures of one image, shape (exposures, rows, columns)."""
+        n = len(self.metadata.plan.exposures_s)
+        return np.stack([self.frame(role, take, incidence, k) for k in range(n)])
+
+    def write(self, role: str, take: int, incidence: int, exposure: int, frame: Frame) -> None:
+        """Put one frame on the disk and acknowledge it in the manifest, both synced.
+
+        Raises
+        ------
+        DataError
+            If the disk refuses; the session keeps the frames acknowledged so far.
+        """
+        key = _key(role, take, incidence, exposure)
+        camera = self.metadata.camera
+        if frame.shape != (camera.rows, camera.columns) or frame.dtype != np.uint16:
+            raise DataError(
+                f"frame {key} is {frame.dtype} of shape {frame.shape}, not uint16 of "
+                f"({camera.rows}, {camera.columns})."
+            )
+        try:
+            self._array(role)[take, incidence, exposure] = frame
+            _sync(self._chunk_path(role, take, incidence, exposure))
+            crc = zlib.crc32(frame.tobytes())
+            line = json.dumps({"frame": key, "crc32": crc}) + "\n"
+            with (self.path / "manifest.jsonl").open("a", encoding="utf-8") as manifest:
+                manifest.write(line)
+                manifest.flush()
+                os.fsync(manifest.fileno())
+        except OSError as error:
+            raise _refused(self.path, error) from error
+        self._manifest[key] = crc
+
+    def _array(self, role: str) -> Any:
+        if role not in self._arrays:
+            import zarr
+
+            self._arrays[role] = zarr.open_array(self.path / "frames.zarr" / role, mode="r+")
+        return self._arrays[role]
+
+    def _chunk_path(self, role: str, take: int, incidence: int, exposure: int) -> Path:
+        folder = self.path / "frames.zarr" / role / "c"
+        return folder / str(take) / str(incidence) / str(exposure) / "0" / "0"
+
+
+def read_truth(path: str | Path) -> dict[str, Any] | None:
+    """What the simulator knows of a session, or None for a real one; for comparison only."""
+    file = Path(path) / "truth" / "truth.json"
+    if not file.is_file():
+        return None
+    try:
+        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{file}: not readable ({error}).", value=file) from None
+    return content
+
+
+def _create_arrays(path: Path, metadata: Metadata) -> None:
+    import zarr
+    from zarr.codecs import BloscCodec
+
+    camera, plan = metadata.camera, metadata.plan
+    group = zarr.open_group(path, mode="w", zarr_format=3)
+    for role in ROLES:
+        shape = (
+            plan.takes(role),
+            len(plan.theta_i_deg),
+            len(plan.exposures_s),
+            camera.rows,
+            camera.columns,
+        )
+        group.create_array(
+            role,
+            shape=shape,
+            chunks=(1, 1, 1, camera.rows, camera.columns),
+            dtype="uint16",
+            compressors=[BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle")],
+            dimension_names=["take", "incidence", "exposure", "row", "column"],
+        )
+
+
+def _read_manifest(path: Path, plan: Plan) -> dict[str, int]:
+    """Acknowledged frames; a torn last line, left by a crash, is cut off."""
+    if not path.is_file():
+        raise DataError(f"{path}: the manifest is missing; the session cannot be trusted.")
+    content = path.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    known = {
+        _key(role, take, incidence, k)
+        for role, take, incidence in plan.images()
+        for k in range(len(plan.exposures_s))
+    }
+    manifest = {}
+    for number, line in enumerate(whole.splitlines(), start=1):
+        try:
+            entry = json.loads(line)
+            key, crc = entry["frame"], int(entry["crc32"])
+        except (ValueError, KeyError, TypeError):
+            raise DataError(f"{path}: line {number} is not a frame's line.", value=path) from None
+        if key not in known:
+            raise DataError(f"{path}: line {number}: frame {key!r} is not of the plan.", value=key)
+        manifest[key] = crc
+    if len(whole) < len(content):
+        with path.open("r+b") as file:
+            file.truncate(len(whole))
+            os.fsync(file.fileno())
+    return manifest
+
+
+def _key(role: str, take: int, incidence: int, exposure: int) -> str:
+    return f"{role}/{take}/{incidence}/{exposure}"
+
+
+def _sync(path: Path) -> None:
+    # A chunk that holds only the fill value is not written; there is nothing to sync then.
+    if path.exists():
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+    folder = os.open(path.parent if path.parent.exists() else path.parents[4], os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _refused(path: Path, error: OSError) -> DataError:
+    return DataError(
+        f"{path}: cannot be written ({error.strerror or error}); free space and run the same "
+        "command again, frames already acknowledged are kept.",
+        value=path,
+    )

@@ -1,0 +1,23 @@
+"""What several test files share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of real measurements, which are not part of the project; skips where it is absent.
+
+    `GONIO_TEST_DATA` names it, else `shared/data` beside the repository.
+    """
+    named = os.environ.get("GONIO_TEST_DATA")
+    folder = Path(named) if named else ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no real measurements at {folder}; set GONIO_TEST_DATA to their folder")
+    return folder

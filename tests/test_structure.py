@@ -1,0 +1,388 @@
+"""The house rules: who may import whom, what the wheel holds, what starts quickly."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+SETUPTOOLS = PYPROJECT["tool"]["setuptools"]
+FOLDERS = {name: ROOT / path for name, path in SETUPTOOLS["package-dir"].items()}
+ROOT_FOLDERS = sorted(set(FOLDERS) - {"gonio"})
+BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
+
+# ---------------------------------------------------------------- direction of imports
+
+FOUNDATION = {"errors", "files", "geometry"}
+SURFACE = FOUNDATION | {"kernels", "models", "samples", "data"}
+VERBS = {
+    "simulate": "simulation",
+    "reduce": "calibration.reduction",
+    "fit": "fitting.least_squares",
+}
+ALL = {"*"}
+
+# Each room of the house and what it may import from gonio, besides itself.
+ALLOWED = {
+    "": set(VERBS.values()),  # gonio/__init__.py names its three lazy verbs for type checkers
+    "errors": set(),
+    "files": {"errors"},
+    "geometry": {"errors", "files"},
+    "kernels": FOUNDATION,
+    "models": FOUNDATION | {"kernels"},
+    "samples": FOUNDATION,
+    "session": FOUNDATION,
+    "data": {"errors", "files"},
+    "materials": SURFACE,
+    "instrument": SURFACE | {"session", "materials"},
+    "simulation": SURFACE | {"session", "materials", "instrument"},
+    # The reducer never sees the truth, the fitter never sees the inside of the instrument.
+    "calibration": FOUNDATION | {"session", "samples", "kernels.threads"},
+    "fitting": FOUNDATION | {"samples", "models", "kernels"},
+    "formats": FOUNDATION | {"samples"},
+    "plot": ALL,
+    "report": ALL,
+    "cli": ALL,
+}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the package by its import name."""
+    found = {}
+    for package, folder in FOLDERS.items():
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(folder).with_suffix("").parts
+            parts = parts[:-1] if parts[-1] == "__init__" else parts
+            found[".".join([package, *parts])] = path
+    return found
+
+
+MODULES = modules()
+
+
+def room(module: str) -> str:
+    """First name below gonio: the room that a module stands in."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def resolve(base: str, name: str, known: set[str]) -> str:
+    """Module that `from base import name` loads: a submodule, a verb's module or `base`."""
+    if base == "gonio" and name in VERBS:
+        return f"gonio.{VERBS[name]}"
+    return f"{base}.{name}" if f"{base}.{name}" in known else base
+
+
+def imported(
+    module: str, is_package: bool, source: str, known: set[str]
+) -> Iterator[tuple[int, str]]:
+    """Line and module of every import in a source, wherever in the file it stands."""
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.Import():
+                # `import gonio` is judged by the attributes that are taken from it, below.
+                yield from ((node.lineno, a.name) for a in node.names if a.name != "gonio")
+            case ast.ImportFrom():
+                base = node.module or ""
+                if node.level:
+                    up = module.split(".")
+                    up = up[: len(up) - node.level + is_package]
+                    base = ".".join([*up, base] if base else up)
+                yield from ((node.lineno, resolve(base, a.name, known)) for a in node.names)
+            case ast.Attribute(value=ast.Name(id="gonio")):
+                yield node.lineno, resolve("gonio", node.attr, known)
+            case ast.Call(
+                func=ast.Name(id="import_module" | "__import__")
+                | ast.Attribute(attr="import_module"),
+                args=[ast.Constant(value=str(name)), *_],
+            ):
+                yield node.lineno, name
+
+
+def allowed(module: str, target: str) -> bool:
+    """Whether `module` may import `target`."""
+    if target.split(".")[0] in BARE_NAMES:
+        return False
+    if target == "gonio" or not target.startswith("gonio."):
+        return True
+    if room(target) == "cli":
+        return room(module) == "cli"
+    inside = target.removeprefix("gonio.")
+    rules = ALLOWED[room(module)]
+    return (
+        rules is ALL
+        or room(target) == room(module)
+        or any(inside == rule or inside.startswith(f"{rule}.") for rule in rules)
+    )
+
+
+def forbidden(
+    module: str, source: str, *, is_package: bool = False, known: set[str] | None = None
+) -> list[str]:
+    """One line for each import in `source` that the table does not allow."""
+    found = imported(module, is_package, source, known or set(MODULES))
+    return [
+        f"line {line}: {module} must not import {target}"
+        for line, target in found
+        if not allowed(module, target)
+    ]
+
+
+def test_every_room_stands_in_the_table() -> None:
+    strangers = {room(module) for module in MODULES} - set(ALLOWED)
+    assert not strangers, f"say in ALLOWED what these may import: {sorted(strangers)}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_keep_their_direction(module: str) -> None:
+    path = MODULES[module]
+    if room(module) not in ALLOWED:
+        pytest.fail(f"say in ALLOWED what gonio.{room(module)} may import")
+    found = forbidden(
+        module, path.read_text(encoding="utf-8"), is_package=path.name == "__init__.py"
+    )
+    assert not found, "\n".join(f"{path.relative_to(ROOT)}, {line}" for line in found)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("gonio.calibration.lens", "import gonio.models"),
+        ("gonio.calibration.lens", "import gonio.models.ward as w"),
+        ("gonio.calibration.lens", "from gonio import models"),
+        ("gonio.calibration.lens", "from gonio import simulate"),
+        ("gonio.calibration.lens", "from gonio.kernels import map_blocks"),
+        ("gonio.calibration.lens", "import gonio\n\ndef f():\n    return gonio.models"),
+        ("gonio.calibration.lens", "def f():\n    from gonio.instrument.dome import Dome"),
+        ("gonio.calibration.lens", "if TYPE_CHECKING:\n    from gonio.materials import Material"),
+        ("gonio.calibration.lens", "from ..simulation import simulate"),
+        ("gonio.calibration.lens", "importlib.import_module('gonio.simulation')"),
+        ("gonio.fitting.problem", "from gonio.session import Session"),
+        ("gonio.fitting.problem", "from ..calibration import lens"),
+        ("gonio.fitting.problem", "import calibration"),
+        ("gonio.models.ward", "from gonio.samples import BRDFSamples"),
+        ("gonio.geometry", "from . import kernels"),
+        ("gonio.plot.polar", "from gonio.cli import main"),
+    ],
+)
+def test_a_forbidden_import_is_seen(module: str, source: str) -> None:
+    known = {"gonio.models", "gonio.kernels", "gonio.cli", "gonio.calibration.lens"}
+    found = forbidden(module, source, known=known)
+    assert len(found) == 1
+    assert re.fullmatch(rf"line \d: {module} must not import [\w.]+", found[0])
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("gonio.calibration.lens", "import numpy as np\nfrom pathlib import Path"),
+        ("gonio.calibration.lens", "from gonio import __version__"),
+        ("gonio.calibration.lens", "from gonio.kernels.threads import map_blocks"),
+        ("gonio.calibration.lens", "from . import reflector\nfrom .exposure import merge"),
+        ("gonio.fitting.problem", "from gonio.models import Model\nfrom ..samples import Cells"),
+        ("gonio.cli.fit", "from gonio.cli import main\nimport gonio.fitting.posterior"),
+    ],
+)
+def test_an_allowed_import_passes(module: str, source: str) -> None:
+    assert forbidden(module, source, known=set()) == []
+
+
+@pytest.mark.parametrize("folder", ["calibration", "fitting"])
+def test_reducer_and_fitter_do_not_know_the_truth(folder: str) -> None:
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            # Whoever compares with known parameters does so outside these two folders.
+            assert "truth" not in line.lower(), f"{path.relative_to(ROOT)}, line {number}: {line}"
+
+
+# ---------------------------------------------------------------- one file, one module
+
+
+@pytest.mark.parametrize("name", ROOT_FOLDERS)
+def test_a_folder_refuses_another_name(name: str) -> None:
+    bare = name.removeprefix("gonio.")
+    spec = importlib.util.spec_from_file_location(bare, FOLDERS[name] / "__init__.py")
+    assert spec is not None
+    assert spec.loader is not None
+    with pytest.raises(ImportError, match=rf"is the package {name} and was imported as '{bare}'"):
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+
+
+def test_no_submodule_has_the_name_of_a_verb() -> None:
+    # Importing it would put the module in the place of the function (docs/adr/0002).
+    assert not {f"gonio.{verb}" for verb in VERBS} & set(MODULES)
+
+
+# ---------------------------------------------------------------- what starts quickly
+
+HEAVY = ["cv2", "emcee", "nlopt", "matplotlib", "numba", "scipy", "arviz", "zarr", "xarray"]
+HEAVY_FOR_HELP = ["numba", "emcee", "cv2", "matplotlib"]
+
+
+def loaded_after(code: str, names: list[str]) -> list[str]:
+    """Which of `names` are loaded after `code` in a fresh interpreter."""
+    report = f"import json, sys\nprint(json.dumps([n for n in {names} if n in sys.modules]))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{report}"],
+        cwd=Path(sys.executable).parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return list(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_import_gonio_is_light() -> None:
+    assert loaded_after("import gonio", HEAVY) == []
+
+
+def test_help_does_not_load_the_machinery() -> None:
+    code = """
+import sys
+from gonio.cli import main
+sys.argv = ["gonio", "--help"]
+try:
+    main()
+except SystemExit as stop:
+    assert not stop.code, stop.code
+"""
+    assert loaded_after(code, HEAVY_FOR_HELP) == []
+
+
+# ---------------------------------------------------------------- the wheel
+
+
+def tree() -> Iterator[Path]:
+    """Files of the project, relative to its root: what a clone holds, and nothing that is made."""
+    made = {"build", "dist", "demo"}
+    for folder, below, files in os.walk(ROOT):
+        here = Path(folder)
+        below[:] = [
+            name
+            for name in below
+            if not (name in made and here == ROOT)
+            and name != "__pycache__"
+            and not name.endswith(".egg-info")
+            and (not name.startswith(".") or name in {".ci", ".github"})
+            and not (here / name / "pyvenv.cfg").exists()
+        ]
+        kept = [name for name in files if not name.startswith(".coverage")]
+        yield from ((here / name).relative_to(ROOT) for name in kept)
+
+
+@pytest.fixture(scope="module")
+def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """Names of the files in a wheel that is built from a clean copy of the tree."""
+    copy, out = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheel")
+    for path in tree():
+        (copy / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, copy / path)
+    done = subprocess.run(
+        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out)],
+        cwd=copy,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = out.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+def test_wheel_holds_only_gonio(wheel_names: set[str]) -> None:
+    dist_info = f"gonio-{PYPROJECT['project']['version']}.dist-info"
+    assert {name.split("/")[0] for name in wheel_names} == {"gonio", dist_info}
+
+
+def test_wheel_holds_every_file_of_the_package(wheel_names: set[str]) -> None:
+    expected = set()
+    for package, folder in FOLDERS.items():
+        inside = [path for path in tree() if path.is_relative_to(folder.relative_to(ROOT))]
+        for path in inside:
+            below = path.relative_to(folder.relative_to(ROOT)).as_posix()
+            expected.add(f"{package.replace('.', '/')}/{below}")
+    assert "gonio/py.typed" in expected
+    assert {name for name in wheel_names if name.startswith("gonio/")} == expected
+
+
+def test_every_package_is_listed() -> None:
+    on_disk = {name for name, path in MODULES.items() if path.name == "__init__.py"}
+    assert sorted(SETUPTOOLS["packages"]) == sorted(on_disk)
+
+
+def test_one_version() -> None:
+    import gonio
+
+    assert gonio.__version__ == PYPROJECT["project"]["version"]
+
+
+# ---------------------------------------------------------------- the text of the project
+
+PACKAGE_SOURCE = re.compile(
+    r"pypi\.org|files\.pythonhosted|deb\.debian\.org|registry\.npmjs"
+    r"|--(?:extra-)?index-url|--[f]ind-links|--[t]rusted-host"
+)
+# An absolute path that begins where people and machines keep their own files.
+PLACE_ON_A_MACHINE = re.compile(
+    r"(?<![\w.:~/}*-])/(?:home|root|Users|work|workspace|opt|mnt|srv|media|tmp)/\w"
+)
+
+
+@pytest.mark.parametrize("pattern", [PACKAGE_SOURCE, PLACE_ON_A_MACHINE], ids=["source", "place"])
+def test_no_file_names_a_package_source_or_a_place_on_one_machine(pattern: re.Pattern[str]) -> None:
+    found = []
+    for path in tree():
+        text = (ROOT / path).read_text(encoding="utf-8", errors="ignore")
+        for number, line in enumerate(text.splitlines(), 1):
+            if match := pattern.search(line):
+                found.append(f"{path}, line {number}: {match[0]}")
+    assert not found, "\n".join(found)
+
+
+def test_constraints_pin_every_package_with_hashes() -> None:
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    assert "://" not in text
+    pins = re.split(r"\n(?=[a-z])", re.sub(r"(?m)^\s*#.*\n", "", text))
+    assert len(pins) > 20
+    for pin in pins:
+        assert re.match(r"[a-z0-9][a-z0-9-]*==[\w.]+ \\\n    --hash=sha256:[0-9a-f]{64}\b", pin)
+    pinned = {pin.split("==")[0] for pin in pins}
+    project = PYPROJECT["project"]
+    wanted = project["dependencies"] + project["optional-dependencies"]["test"]
+    missing = {re.split(r"[<>=!~\[ ;]", w)[0].lower().replace("_", "-") for w in wanted} - pinned
+    assert not missing, f"run 'make constraints': {sorted(missing)} are not pinned"
+
+
+# ---------------------------------------------------------------- the example for contributors
+
+
+def test_the_model_in_contributing_is_a_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    block = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert block is not None
+    (tmp_path / "lommel_seeliger.py").write_text(block[1], encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    model = importlib.import_module("lommel_seeliger").MODEL
+    w_i, w_r = np.array([0.6, 0.0, 0.8]), np.array([0.0, -0.8, 0.6])
+    value, slope = model.plain(w_i, w_r, np.array([0.5]))
+    # f = w / (4 pi (cos theta_i + cos theta_r)), linear in w
+    assert value == pytest.approx(0.5 / (4 * np.pi * 1.4), rel=1e-14)
+    assert slope == pytest.approx(value / 0.5, rel=1e-14)
+    assert model.plain(w_r, w_i, np.array([0.5]))[0] == value

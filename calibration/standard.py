@@ -18,7 +18,7 @@ from gonio.geometry import FloatArray
 from gonio.session import Certificate
 
 ENTRY_SHARE = 0.1  # background above this share of the standard's signal marks the entry patch
-MIN_SIGNAL = 10.0  # standard deviations that the standard must stand above the background
+MIN_SIGNAL = 25.0  # standard deviations that the standard must stand above the background
 
 
 @dataclass(frozen=True)

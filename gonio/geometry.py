@@ -28,7 +28,9 @@ def unit_vectors(theta: ArrayLike, phi: ArrayLike) -> FloatArray:
     """
     theta, phi = np.broadcast_arrays(np.asarray(theta, float), np.asarray(phi, float))
     sin_theta = np.sin(theta)
-    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
+    # cos(pi/2) is 6e-17 in floating point; the horizon is exactly horizontal.
+    z = np.where(theta == HORIZON, 0.0, np.cos(theta))
+    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), z], axis=-1)
 
 
 def angles(vectors: ArrayLike) -> tuple[FloatArray, FloatArray]:

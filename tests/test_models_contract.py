@@ -182,7 +182,6 @@ def test_f_is_zero_below_the_horizon(name):
     assert not any(model.plain(w_i[0], w_r[0], model.vector({})))
 
 
-@pytest.mark.xfail(strict=True, reason="cos(pi/2) is 6e-17 in floating point, not 0")
 @every_model
 def test_f_is_zero_exactly_at_the_horizon(name):
     horizon = np.pi / 2

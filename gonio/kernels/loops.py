@@ -72,16 +72,17 @@ def batch_chi2(w_i, w_r, factor, value, inverse_variance, batch, out):  # type: 
 
     One direction a sample; `factor` turns f there into f integrated over the sample's cell.
     """
-    for b in range(batch.shape[0]):
-        p = batch[b]
-        total = 0.0
-        for k in range(value.shape[0]):
+    out[:] = 0.0
+    for k in range(value.shape[0]):
+        above = w_i[k, 2] > 0.0 and w_r[k, 2] > 0.0
+        for b in range(batch.shape[0]):
             f = 0.0
-            if w_i[k, 2] > 0.0 and w_r[k, 2] > 0.0:
-                f = call(w_i[k, 0], w_i[k, 1], w_i[k, 2], w_r[k, 0], w_r[k, 1], w_r[k, 2], p)[0]
+            if above:
+                f = call(
+                    w_i[k, 0], w_i[k, 1], w_i[k, 2], w_r[k, 0], w_r[k, 1], w_r[k, 2], batch[b]
+                )[0]
             r = value[k] - factor[k] * f
-            total += r * r * inverse_variance[k]
-        out[b] = total
+            out[b] += r * r * inverse_variance[k]
 
 
 def image(w_i, w_r, ray_weight, p, out):  # type: ignore[no-untyped-def]

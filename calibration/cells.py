@@ -9,6 +9,8 @@ all its pixels' areas, so that a fit can integrate the model over the cell as th
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -17,10 +19,11 @@ from gonio.geometry import FloatArray
 
 BASE = 10  # cells across the disc of the equal-area map before any split
 DEPTH = 6  # levels of splitting
-MAX_SPREAD = 0.05  # of the mean: range of a uniform distribution with the cell's deviation
+MAX_SPREAD = 0.05  # of the mean, in a cell of up to 64 pixels: range of a uniform distribution
 MAX_CHI2 = 2.0  # per pixel, of a constant
 MIN_PIXELS = 4
-MAX_MEMBERS = 16
+GROUPS = 4  # groups along each side of a cell with more points than it may keep
+MAX_MEMBERS = GROUPS**2
 
 
 def morton_keys(x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
@@ -40,7 +43,7 @@ def morton_keys(x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
     return np.asarray(key)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def split(keys, guide, variance, weight):  # type: ignore[no-untyped-def]
     """Cells of one image as runs of pixels sorted by key: arrays of first and last-plus-one.
 
@@ -84,7 +87,7 @@ def split(keys, guide, variance, weight):  # type: ignore[no-untyped-def]
     return first[:cells].copy(), last[:cells].copy()
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _must_split(guide, variance, weight, a, b):  # type: ignore[no-untyped-def]
     """Number of good pixels of a run, and whether they differ too much for one cell."""
     good = 0
@@ -103,18 +106,21 @@ def _must_split(guide, variance, weight, a, b):  # type: ignore[no-untyped-def]
             d = guide[k] - mean
             square += d * d
             chi2 += d * d / variance[k]
-    spread = np.sqrt(12 * square / good)
-    return good, chi2 / good > MAX_CHI2 and spread > MAX_SPREAD * abs(mean)
+    spread = math.sqrt(12 * square / good)
+    # A lobe's foot in the corner of a large cell hardly spreads it, yet curves too much for 16
+    # members: the larger the cell, the flatter it must be.
+    limit = MAX_SPREAD * min(1.0, math.sqrt(4 * MAX_MEMBERS / good)) * abs(mean)
+    return good, chi2 / good > MAX_CHI2 and spread > limit
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def gather(first, last, weight, columns, vectors, area):  # type: ignore[no-untyped-def]
     """Weighted means of each cell.
 
     Parameters
     ----------
-    columns : ndarray, shape (4, n)
-        value, and three terms of its variance, of every pixel.
+    columns : ndarray, shape (1 + k, n)
+        value, and k terms of its variance, of every pixel.
     vectors : ndarray, shape (n, 3)
         Viewing direction of every pixel.
     area : ndarray, shape (n,)
@@ -122,14 +128,15 @@ def gather(first, last, weight, columns, vectors, area):  # type: ignore[no-unty
 
     Returns
     -------
-    means : ndarray, shape (4, cells)
+    means : ndarray, shape (1 + k, cells)
         sum w v / sum w for the value, sum w^2 v / (sum w)^2 for the variance terms.
     centroid : ndarray, shape (cells, 3)
     solid_angle : ndarray, shape (cells,)
     partial : ndarray of bool, shape (cells,)
     """
     cells = first.shape[0]
-    means = np.zeros((4, cells))
+    terms = columns.shape[0]
+    means = np.zeros((terms, cells))
     centroid = np.zeros((cells, 3))
     solid_angle = np.zeros(cells)
     partial = np.zeros(cells, np.bool_)
@@ -142,22 +149,23 @@ def gather(first, last, weight, columns, vectors, area):  # type: ignore[no-unty
                 continue
             total += w
             means[0, c] += w * columns[0, k]
-            for j in range(1, 4):
+            for j in range(1, terms):
                 means[j, c] += w * w * columns[j, k]
             for j in range(3):
                 centroid[c, j] += w * vectors[k, j]
             solid_angle[c] += area[k]
         means[0, c] /= total
-        for j in range(1, 4):
+        for j in range(1, terms):
             means[j, c] /= total * total
-        norm = np.sqrt(np.sum(centroid[c] ** 2))
+        x, y, z = centroid[c, 0], centroid[c, 1], centroid[c, 2]
+        norm = math.sqrt(x * x + y * y + z * z)
         for j in range(3):
             centroid[c, j] /= norm
     return means, centroid, solid_angle, partial
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def members(first, last, weight, guide, points, centroid):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def members(first, last, weight, points, centroid):  # type: ignore[no-untyped-def]
     """Members of each cell: directions, weights and offsets.
 
     Every pixel brings its four Gauss points, which integrate over its area. Up to 16 points are
@@ -175,25 +183,27 @@ def members(first, last, weight, guide, points, centroid):  # type: ignore[no-un
     u = np.empty(4 * most)
     v = np.empty(4 * most)
     g = np.empty(4 * most)
+    e1 = np.empty(3)
+    e2 = np.empty(3)
     for c in range(cells):
-        e1, e2 = _tangents(centroid[c])
+        _tangents(centroid[c, 0], centroid[c, 1], centroid[c, 2], e1, e2)
         n = 0
-        low, high = np.inf, -np.inf
+        total = 0.0
         for k in range(first[c], last[c]):
             if weight[k] > 0:
-                low, high = min(low, guide[k]), max(high, guide[k])
+                total += weight[k]
                 for j in range(4):
-                    u[n] = np.dot(points[k, j], e1)
-                    v[n] = np.dot(points[k, j], e2)
+                    x, y, z = points[k, j, 0], points[k, j, 1], points[k, j, 2]
+                    u[n] = x * e1[0] + y * e1[1] + z * e1[2]
+                    v[n] = x * e2[0] + y * e2[1] + z * e2[2]
                     g[n] = weight[k] / 4
                     n += 1
-        total = np.sum(g[:n])
-        g[:n] /= total
-        side = 2 if high - low < MAX_SPREAD * abs(high) else 4
-        if n > MAX_MEMBERS:
-            n = _merge_points(u, v, g, n, side)
         for k in range(n):
-            rest = np.sqrt(max(1 - u[k] * u[k] - v[k] * v[k], 0.0))
+            g[k] /= total
+        if n > MAX_MEMBERS:
+            n = _merge_points(u, v, g, n)
+        for k in range(n):
+            rest = math.sqrt(max(1 - u[k] * u[k] - v[k] * v[k], 0.0))
             for j in range(3):
                 w_r[count, j] = u[k] * e1[j] + v[k] * e2[j] + rest * centroid[c, j]
             share[count] = g[k]
@@ -202,35 +212,39 @@ def members(first, last, weight, guide, points, centroid):  # type: ignore[no-un
     return w_r[:count].copy(), share[:count].copy(), offsets
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _tangents(w):  # type: ignore[no-untyped-def]
-    """Two unit vectors across the unit vector w."""
-    e1 = np.empty(3)
-    if abs(w[0]) < 0.9:
-        e1[0], e1[1], e1[2] = 1 - w[0] * w[0], -w[0] * w[1], -w[0] * w[2]
+@njit(cache=True, nogil=True)
+def _tangents(x, y, z, e1, e2):  # type: ignore[no-untyped-def]
+    """Fill e1, e2 with two unit vectors across the unit vector (x, y, z)."""
+    if abs(x) < 0.9:
+        e1[0], e1[1], e1[2] = 1 - x * x, -x * y, -x * z
     else:
-        e1[0], e1[1], e1[2] = -w[1] * w[0], 1 - w[1] * w[1], -w[1] * w[2]
-    e1 /= np.sqrt(np.sum(e1 * e1))
-    e2 = np.array(
-        [w[1] * e1[2] - w[2] * e1[1], w[2] * e1[0] - w[0] * e1[2], w[0] * e1[1] - w[1] * e1[0]]
-    )
-    return e1, e2
+        e1[0], e1[1], e1[2] = -y * x, 1 - y * y, -y * z
+    norm = math.sqrt(e1[0] * e1[0] + e1[1] * e1[1] + e1[2] * e1[2])
+    for j in range(3):
+        e1[j] /= norm
+    e2[0] = y * e1[2] - z * e1[1]
+    e2[1] = z * e1[0] - x * e1[2]
+    e2[2] = x * e1[1] - y * e1[0]
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _merge_points(u, v, g, n, side):  # type: ignore[no-untyped-def]
-    """Merge n weighted points in place into at most side^2, moments kept; returns how many."""
+@njit(cache=True, nogil=True)
+def _merge_points(u, v, g, n):  # type: ignore[no-untyped-def]
+    """Merge n weighted points in place into at most GROUPS^2, moments kept; returns how many."""
     before = _moments(u, v, g, n)
-    u0, u1 = np.min(u[:n]), np.max(u[:n]) + 1e-12
-    v0, v1 = np.min(v[:n]), np.max(v[:n]) + 1e-12
+    u0, u1, v0, v1 = u[0], u[0], v[0], v[0]
+    for k in range(1, n):
+        u0, u1 = min(u0, u[k]), max(u1, u[k])
+        v0, v1 = min(v0, v[k]), max(v1, v[k])
+    u1 += 1e-12
+    v1 += 1e-12
+    side = GROUPS
     grid = np.zeros((side * side, 3))
     for k in range(n):
-        i = int((u[k] - u0) / (u1 - u0) * side)
-        j = int((v[k] - v0) / (v1 - v0) * side)
-        cell = grid[min(i, side - 1) * side + min(j, side - 1)]
-        cell[0] += g[k] * u[k]
-        cell[1] += g[k] * v[k]
-        cell[2] += g[k]
+        i = min(int((u[k] - u0) / (u1 - u0) * side), side - 1)
+        j = min(int((v[k] - v0) / (v1 - v0) * side), side - 1)
+        grid[i * side + j, 0] += g[k] * u[k]
+        grid[i * side + j, 1] += g[k] * v[k]
+        grid[i * side + j, 2] += g[k]
     m = 0
     for k in range(side * side):
         if grid[k, 2] > 0:
@@ -238,13 +252,13 @@ def _merge_points(u, v, g, n, side):  # type: ignore[no-untyped-def]
             m += 1
     after = _moments(u, v, g, m)
     # Lower Cholesky factors of both covariances; their quotient maps one onto the other.
-    a11, b11 = np.sqrt(before[2]), np.sqrt(max(after[2], 0.0))
+    a11, b11 = math.sqrt(before[2]), math.sqrt(max(after[2], 0.0))
     a21 = before[3] / a11
-    a22 = np.sqrt(max(before[4] - a21 * a21, 0.0))
+    a22 = math.sqrt(max(before[4] - a21 * a21, 0.0))
     if b11 < 1e-9:
         return m
     b21 = after[3] / b11
-    b22 = np.sqrt(max(after[4] - b21 * b21, 0.0))
+    b22 = math.sqrt(max(after[4] - b21 * b21, 0.0))
     if b22 < 1e-9:
         return m
     for k in range(m):
@@ -256,10 +270,52 @@ def _merge_points(u, v, g, n, side):  # type: ignore[no-untyped-def]
     return m
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _moments(u, v, g, n):  # type: ignore[no-untyped-def]
     """Means, variances and covariance (mu, mv, suu, suv, svv) of weighted points."""
-    mu = np.sum(g[:n] * u[:n])
-    mv = np.sum(g[:n] * v[:n])
-    du, dv = u[:n] - mu, v[:n] - mv
-    return mu, mv, np.sum(g[:n] * du * du), np.sum(g[:n] * du * dv), np.sum(g[:n] * dv * dv)
+    mu = mv = 0.0
+    for k in range(n):
+        mu += g[k] * u[k]
+        mv += g[k] * v[k]
+    suu = suv = svv = 0.0
+    for k in range(n):
+        du, dv = u[k] - mu, v[k] - mv
+        suu += g[k] * du * du
+        suv += g[k] * du * dv
+        svv += g[k] * dv * dv
+    return mu, mv, suu, suv, svv
+
+
+@njit(cache=True, nogil=True)
+def median(image):  # type: ignore[no-untyped-def]
+    """Median of each pixel and its eight neighbours; the edge's pixels count twice at the edge.
+
+    Each column of three is sorted once; the median of nine is the middle one of the largest
+    low, the middle middle and the smallest high.
+    """
+    rows, columns = image.shape
+    out = np.empty_like(image)
+    low = np.empty(columns + 2)
+    mid = np.empty(columns + 2)
+    high = np.empty(columns + 2)
+    for i in range(rows):
+        up, down = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(columns):
+            a, b, c = image[up, j], image[i, j], image[down, j]
+            low[j + 1] = min(min(a, b), c)
+            mid[j + 1] = _middle(a, b, c)
+            high[j + 1] = max(max(a, b), c)
+        for row in (low, mid, high):
+            row[0], row[columns + 1] = row[1], row[columns]
+        for j in range(columns):
+            out[i, j] = _middle(
+                max(max(low[j], low[j + 1]), low[j + 2]),
+                _middle(mid[j], mid[j + 1], mid[j + 2]),
+                min(min(high[j], high[j + 1]), high[j + 2]),
+            )
+    return out
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _middle(a, b, c):  # type: ignore[no-untyped-def]
+    return max(min(a, b), min(max(a, b), c))

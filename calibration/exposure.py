@@ -2,8 +2,8 @@
 
 Rate = sum of counts over sum of times, over the exposures that are safely unsaturated. For a
 shot-limited signal these are the optimal weights, and they hold no noise, so they do not bias.
-An exposure is left out when the next shorter one, averaged over 3 x 3 pixels, predicts more than
-0.9 of the saturation: the pixel's own noisy value does not decide.
+An exposure is left out when the eight neighbours predict more than 0.9 of the saturation from the
+next shorter one: a pixel's own noisy value must not decide, or bright noise would count less.
 """
 
 from __future__ import annotations
@@ -77,9 +77,7 @@ def merge(bracket: NDArray[np.uint16], exposures_s: tuple[float, ...], camera: C
     _merge(bracket, np.array(exposures_s), camera.black_dn, top, value, time, n_used, saturated)
     safe = np.where(time > 0, time, 1.0)
     noise_e2 = (camera.noise_dn**2 + 1 / 12) / camera.gain_dn_per_e**2
-    return Rate(
-        value / camera.gain_dn_per_e / safe, time, n_used * noise_e2 / safe**2, saturated
-    )
+    return Rate(value / camera.gain_dn_per_e / safe, time, n_used * noise_e2 / safe**2, saturated)
 
 
 def average(rates: list[Rate]) -> Rate:
@@ -94,35 +92,48 @@ def average(rates: list[Rate]) -> Rate:
     return Rate(value, time, noise, saturated)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _merge(bracket, exposures, black, top, value, time, n_used, saturated):  # type: ignore[no-untyped-def]
     """Sum of counts above black and sum of times over the usable exposures of every pixel."""
     n, rows, columns = bracket.shape
+    full = black + SATURATED * (top - black)
+    usable = np.empty(columns, np.bool_)
+    # Sums over three rows, with an empty column on either side.
+    sums = np.zeros(columns + 2, np.int64)
     for i in range(rows):
+        a, b = max(i - 1, 0), min(i + 2, rows)
         for j in range(columns):
-            usable = True
-            for k in range(n):
-                if k > 0 and usable:
-                    total, count = 0.0, 0
-                    for a in range(max(i - 1, 0), min(i + 2, rows)):
-                        for b in range(max(j - 1, 0), min(j + 2, columns)):
-                            total += bracket[k - 1, a, b]
-                            count += 1
-                    growth = exposures[k] / exposures[k - 1]
-                    prediction = (total / count - black) * growth
-                    # A pixel brighter than its neighbours is not hidden by their mean.
-                    own = (bracket[k - 1, i, j] - black) * growth
-                    if max(prediction, 0.95 * own) > GUARD * (top - black):
-                        usable = False
-                if not usable:
-                    break
-                if bracket[k, i, j] >= black + SATURATED * (top - black):
+            usable[j] = True
+        for k in range(n):
+            if k > 0:
+                growth = exposures[k] / exposures[k - 1]
+                for j in range(columns):
+                    sums[j + 1] = 0
+                for row in range(a, b):
+                    for j in range(columns):
+                        sums[j + 1] += bracket[k - 1, row, j]
+            for j in range(columns):
+                if not usable[j]:
+                    continue
+                if k > 0:
+                    own = bracket[k - 1, i, j]
+                    count = (b - a) * (min(j + 2, columns) - max(j - 1, 0)) - 1
+                    total = sums[j] + sums[j + 1] + sums[j + 2] - own
+                    neighbours = total / count if count else float(own)
+                    # A pixel far brighter than its neighbours is not hidden by their mean.
+                    if (neighbours - black) * growth > GUARD * (top - black) or (
+                        own - black
+                    ) * growth > SATURATED * (top - black):
+                        usable[j] = False
+                        continue
+                if bracket[k, i, j] >= full:
                     # Saturated although not expected, or already in the shortest exposure.
                     saturated[i, j] = True
                     value[i, j] = 0.0
                     time[i, j] = 0.0
                     n_used[i, j] = 0.0
-                    break
+                    usable[j] = False
+                    continue
                 value[i, j] += bracket[k, i, j] - black
                 time[i, j] += exposures[k]
                 n_used[i, j] += 1.0

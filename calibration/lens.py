@@ -44,20 +44,21 @@ def camera_angles(
     elif lens.projection == "equidistant":
         theta = radius
     else:
-        theta = _invert(np.array(lens.k), radius, edge)
+        theta = _invert(lens.k, radius, edge)
     return np.where(theta <= edge, theta, np.nan), np.arctan2(y, x)
 
 
-def _invert(k: FloatArray, radius: FloatArray, edge: float) -> FloatArray:
+def _invert(k: tuple[float, float, float, float], radius: FloatArray, edge: float) -> FloatArray:
     """theta with theta (1 + k1 theta^2 + ...) = radius, up to a little beyond the edge."""
-    coefficients = np.concatenate([[1.0], k])
-    powers = 2 * np.arange(5) + 1
+    k1, k2, k3, k4 = k
 
     def forward(theta: FloatArray) -> FloatArray:
-        return np.asarray(np.sum(coefficients * theta[..., None] ** powers, axis=-1))
+        q = theta * theta
+        return theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
 
     def slope(theta: FloatArray) -> FloatArray:
-        return np.asarray(np.sum(coefficients * powers * theta[..., None] ** (powers - 1), axis=-1))
+        q = theta * theta
+        return 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * (9 * k4))))
 
     # A table brackets each radius; Newton polishes within the bracket's cell.
     grid = np.linspace(0, 1.02 * edge, 4097)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-
 from gonio.calibration import cells, lens, reflector, standard
 from gonio.calibration.exposure import Rate, average, merge
+from numpy.typing import ArrayLike, NDArray
+
 from gonio.errors import DataError
 from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated, unit_vectors
 from gonio.kernels.threads import default_threads
@@ -82,7 +81,6 @@ class _PixelTable:
     points: FloatArray  # (n, 4, 3) Gauss points of each pixel's area, by eq. (3)
     solid_angle: FloatArray  # (n,) sr on the side of the sample
     theta_r: FloatArray  # (rows, columns), NaN outside the image circle
-    n_image_circle: int
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class _Part:
 def _pixel_table(metadata: Metadata) -> _PixelTable:
     camera, geometry = metadata.camera, metadata.geometry
     columns, rows = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
-    theta_r, w_r, ratio = _mapped(metadata, columns, rows)
+    theta_r, w_r = _mapped(metadata, columns, rows)
     usable = theta_r <= np.radians(geometry.usable_theta_r_deg)
     index = np.flatnonzero(usable)
     if len(index) == 0:
@@ -134,21 +132,27 @@ def _pixel_table(metadata: Metadata) -> _PixelTable:
         keys=keys[order],
         w_r=np.ascontiguousarray(w_r.reshape(-1, 3)[index]),
         points=np.ascontiguousarray(points),
-        solid_angle=ratio.ravel()[index],
+        solid_angle=_solid_angles(metadata, columns.ravel()[index], rows.ravel()[index]),
         theta_r=theta_r,
-        n_image_circle=int(np.count_nonzero(np.isfinite(theta_r))),
     )
 
 
 def _mapped(
-    metadata: Metadata, columns: FloatArray, rows: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """theta_r, unit vectors and solid angles of (fractional) pixels, by the lens and eq. (3)."""
+    metadata: Metadata, columns: ArrayLike, rows: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """theta_r and unit vectors of (fractional) pixels, by the lens and eq. (3)."""
+    x, y = lens.pixel_positions(metadata.camera, columns, rows)
+    theta_c, phi_c = lens.camera_angles(metadata.lens, x, y)
+    R, D = metadata.geometry.R, metadata.geometry.D
+    theta_r, phi_r = reflector.reflected_angles(theta_c, phi_c, R=R, D=D)
+    return theta_r, unit_vectors(theta_r, phi_r)
+
+
+def _solid_angles(metadata: Metadata, columns: ArrayLike, rows: ArrayLike) -> FloatArray:
+    """Solid angles of pixels on the side of the sample, sr."""
     camera, geometry = metadata.camera, metadata.geometry
     x, y = lens.pixel_positions(camera, columns, rows)
     theta_c, phi_c = lens.camera_angles(metadata.lens, x, y)
-    R, D = geometry.R, geometry.D
-    theta_r, phi_r = reflector.reflected_angles(theta_c, phi_c, R=R, D=D)
     # The lens is close to equal angles per pixel: sin(theta)/r dtheta/dr is taken numerically.
     step = 1e-4
     radius = np.hypot(x, y)
@@ -156,8 +160,8 @@ def _mapped(
     further, _ = lens.camera_angles(metadata.lens, x * scale, y * scale)
     per_area = np.sin(theta_c) * (further - theta_c) / (step * np.maximum(radius, step))
     solid_angle = per_area * camera.pitch_mm[0] * camera.pitch_mm[1]
-    solid_angle = solid_angle * reflector.solid_angle_ratio(theta_c, phi_c, R=R, D=D)
-    return theta_r, unit_vectors(theta_r, phi_r), solid_angle
+    ratio = reflector.solid_angle_ratio(theta_c, phi_c, R=geometry.R, D=geometry.D)
+    return np.asarray(solid_angle * ratio)
 
 
 def _reduce_incidence(session: Session, table: _PixelTable, incidence: int) -> Iterator[_Part]:
@@ -189,7 +193,7 @@ def _reduce_image(
 ) -> _Part:
     f = standard.brdf(measured, ref)
     # Splits and weights follow a median-filtered guide, not the noise that is averaged.
-    guide = median_filter(f, size=3, mode="nearest")
+    guide = cells.median(f)
     own, shared = standard.variances(measured, ref, guide)
     good = ref.usable & ~measured.saturated & (measured.time > 0)
     safe_time = np.where(good, measured.time, 1.0)
@@ -198,13 +202,14 @@ def _reduce_image(
     slope = ref.f_per_rate / safe_time
     at = table.index
     weight_s, guide_s = weight.ravel()[at], guide.ravel()[at]
-    columns = np.stack([image.ravel()[at] for image in (f, own, shared, slope)])
+    columns = np.stack([image.ravel()[at] for image in (f, own, shared, slope, slope * guide)])
     total_variance = np.maximum(columns[1] + columns[2], 1e-300)
     first, last = cells.split(table.keys, guide_s, total_variance, weight_s)
     means, centroid, solid_angle, partial = cells.gather(
         first, last, weight_s, columns, table.w_r, table.solid_angle
     )
-    w_m, share, offsets = cells.members(first, last, weight_s, guide_s, table.points, centroid)
+    means = _at_own_value(means)
+    w_m, share, offsets = cells.members(first, last, weight_s, table.points, centroid)
     geometry = metadata.geometry
     shift = reflector.mapping_error(centroid, R=geometry.R, D=geometry.D, shape=geometry.shape)
     psi = np.radians(metadata.plan.rotations_deg[rotation])
@@ -223,6 +228,20 @@ def _reduce_image(
         n_saturated=int(np.count_nonzero(measured.saturated.ravel()[at])),
         n_reference=int(np.count_nonzero(~ref.usable.ravel()[at])),
     )
+
+
+def _at_own_value(means: FloatArray) -> FloatArray:
+    """Variances of the cells at their own value instead of at the guide.
+
+    The fit moves them from there to the model's value; what is left of the guide's own noise
+    would otherwise bias it by a part in 10^5.
+    """
+    value, own, shared, slope, slope_times_guide = means
+    value = np.maximum(value, 0.0)
+    guide = slope_times_guide / slope
+    own = np.maximum(own + slope * (value - guide), 0.1 * own)
+    ratio = value / np.where(guide > 0, guide, 1.0)
+    return np.stack([means[0], own, shared * np.clip(ratio, 0.7, 1.4) ** 2, slope])
 
 
 def _collect(metadata: Metadata, parts: list[_Part]) -> BRDFSamples:
@@ -280,6 +299,15 @@ def _shared_terms(
             shift=np.concatenate([part.shift for part in parts]),
         )
     ]
+    source = np.radians(metadata.lamp.half_angle_deg) / 2  # sd of a uniform disc on each axis
+    if source:
+        terms.append(SharedTerm("source cone", "the lamp's finite half-angle", blur=source))
+    if metadata.limits.slope_error_deg:
+        slope = 2 * np.radians(metadata.limits.slope_error_deg)  # a mirror doubles it
+        terms.append(SharedTerm("dome slope", "slope errors of the dome", blur=slope))
+    if metadata.limits.multibounce:
+        share = metadata.limits.multibounce * metadata.standard.reflectance
+        terms.append(SharedTerm("multi-bounce", "light that reaches the sample twice", share))
     if metadata.standard.uncertainty:
         terms.append(
             SharedTerm(

@@ -54,8 +54,9 @@ def reflected_angles(
     --------
     >>> theta_r, phi_r = reflected_angles(0.0, 0.0, R=150.0, D=15.0)
     >>> round(float(np.degrees(theta_r)), 4), round(float(np.degrees(phi_r)), 4)
-    (11.3663, -90.0)
+    (11.3654, -90.0)
     """
+    _check(R, D)
     w_c = unit_vectors(theta_c, phi_c)
     x, y, z = np.moveaxis(_range(w_c[..., 1], R, D)[..., None] * w_c, -1, 0)
     return angles(np.stack([x, y - 2 * D, z], axis=-1))
@@ -72,21 +73,21 @@ def camera_angles(
     >>> [round(float(angle), 12) for angle in back]
     [0.7, 0.3]
     """
+    _check(R, D)
     w_r = unit_vectors(theta_r, phi_r)
     x, y, z = np.moveaxis(_range(w_r[..., 1], R, -D)[..., None] * w_r, -1, 0)
     return angles(np.stack([x, y + 2 * D, z], axis=-1))
 
 
-def solid_angle_ratio(
-    theta_c: ArrayLike, phi_c: ArrayLike, *, R: float, D: float
-) -> FloatArray:
+def solid_angle_ratio(theta_c: ArrayLike, phi_c: ArrayLike, *, R: float, D: float) -> FloatArray:
     """Jacobian of eq. (3): dOmega_r/dOmega_c = (R^2 - D P_y)/(R^2 + D P_y) (r_c/r_t)^3.
 
     Examples
     --------
     >>> round(float(solid_angle_ratio(0.0, 0.0, R=150.0, D=15.0)), 6)
-    0.961706
+    0.961354
     """
+    _check(R, D)
     s = unit_vectors(theta_c, phi_c)[..., 1]
     r_c = _range(s, R, D)
     p_y = r_c * s - D
@@ -120,18 +121,24 @@ def mapping_error(
     The reduction does not correct by it: it is carried as the uncertainty of the mapping.
     """
     epsilon = D / R
-    s = w_r[..., 1:2]
-    # (y_hat - s w_r) is the tangent towards +y, of length sin(gamma).
-    tangent = np.array([0.0, 1.0, 0.0]) - s * w_r
+    # gamma belongs to the point P of the dome as seen from its centre; the direction from T
+    # differs from it by D/R, which matters where the error passes through zero.
+    point = _range(w_r[..., 1:2], R, -D) * w_r + np.array([0.0, D, 0.0])
+    s = point[..., 1:2] / np.linalg.norm(point, axis=-1, keepdims=True)
+    tangent = np.array([0.0, 1.0, 0.0]) - w_r[..., 1:2] * w_r
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-12)
     amplitude = 2 * epsilon**2 * s if shape == "sphere" else epsilon**3 * s * s
-    return np.asarray(amplitude * tangent)
+    return np.asarray(amplitude * np.sqrt(1 - s * s) * tangent)
 
 
 def _range(s: FloatArray, R: float, D: float) -> FloatArray:
     """r_c of eq. (3), the distance from the camera to the sphere, for s = w_c . y."""
-    if not (np.isfinite(R) and np.isfinite(D) and abs(D) < R):
+    return np.asarray(D * s + np.sqrt(D * D * s * s + R * R - D * D))
+
+
+def _check(R: float, D: float) -> None:
+    if not (np.isfinite(R) and 0 <= D < R):
         raise ConfigurationError(
             f"D = {D:g} mm with R = {R:g} mm: the camera must sit inside the dome, 0 <= D < R.",
             value=D,
         )
-    return np.asarray(D * s + np.sqrt(D * D * s * s + R * R - D * D))

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from gonio.calibration.exposure import Rate
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from gonio.calibration.exposure import Rate
 from gonio.geometry import FloatArray
 from gonio.session import Certificate
 
@@ -80,13 +80,11 @@ def reference(
         Dark current, which is part of the background but not light.
     """
     signal = standard.value - background.value
-    variance_b = background.variance(background.value)
-    variance_s = standard.variance(standard.value)
-    # Averages of neighbours decide: choosing pixels by their own noise would bias the mean.
-    smooth = uniform_filter(signal, size=5, mode="nearest")
-    bright = smooth > MIN_SIGNAL * np.sqrt(variance_b + variance_s)
-    entry = uniform_filter(background.value, size=5, mode="nearest") - dark_e_per_s
-    entry = entry > ENTRY_SHARE * smooth
+    # Neighbours decide: choosing pixels by their own noise would bias what is left.
+    near_b, near_s = _neighbours(background.value), _neighbours(standard.value)
+    noise = np.sqrt(background.variance(near_b) + standard.variance(near_s))
+    bright = near_s - near_b > MIN_SIGNAL * noise
+    entry = near_b - dark_e_per_s > ENTRY_SHARE * (near_s - near_b)
     usable = (
         bright
         & (signal > 0)
@@ -99,10 +97,15 @@ def reference(
     return Reference(
         background,
         np.where(usable, standard_brdf(certificate, theta_r) / safe, 0.0),
-        variance_s / safe**2,
-        variance_b,
+        standard.variance(standard.value) / safe**2,
+        background.variance(background.value),
         usable,
     )
+
+
+def _neighbours(image: FloatArray) -> FloatArray:
+    """Mean of the 24 pixels around each, the pixel itself left out."""
+    return np.asarray((25 * uniform_filter(image, size=5, mode="nearest") - image) / 24)
 
 
 def brdf(measured: Rate, ref: Reference) -> FloatArray:

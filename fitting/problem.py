@@ -95,32 +95,42 @@ class Problem:
         """Number of samples."""
         return len(self.samples)
 
-    def variance(self, model_values: FloatArray | None) -> FloatArray:
-        """Variance of each sample, shot noise taken from the model where that is possible.
+    def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
+        """Variance of each sample where its expectation is f, or as stated.
 
-        A sample's own value would give low readings too much weight and bias the fit
-        (-0.2 % on a dim surface); a floor of a tenth of the stated variance keeps the result
-        positive where the model is far off.
+        A sample's own value would give low readings too much weight and bias the fit (-0.2 % on
+        a dim surface). Shot noise grows with f, the noise of the standard with f^2; a floor of a
+        tenth of the stated variance keeps the result positive where the model is far off.
+
+        Parameters
+        ----------
+        f : ndarray, shape (N,), optional
+            Model values.
+        sharing : bool
+            Count the noise of a standard's frame once for each image that uses it.
         """
         samples = self.samples
         assert samples.u_independent is not None
         stated = samples.u_independent**2
-        if model_values is None or samples.noise_slope is None:
-            return stated
-        moved = stated + samples.noise_slope * (model_values - samples.value)
-        return np.maximum(moved, 0.1 * stated)
+        reference = np.zeros(self.n) if samples.u_reference is None else samples.u_reference**2
+        total = stated
+        value = np.maximum(samples.value, 0.0)
+        if f is not None and samples.noise_slope is not None:
+            ratio = np.clip(f / np.where(value > 0, value, np.inf), 0.7, 1.4)
+            moved = np.where(value > 0, reference * ratio**2, reference)
+            total = stated - reference + moved + samples.noise_slope * (f - value)
+            total = np.maximum(total, 0.1 * stated)
+            reference = moved
+        if sharing:
+            total = total + (samples.reference_sharing - 1) * reference
+        return np.asarray(total)
 
     def reweighted(self, p: FloatArray | None) -> Problem:
         """The problem with its weights taken at the model's values for p."""
         directions = self.samples.directions
         if self.weights == "sd":
-            variance = self.variance(None if p is None else self.values(p))
-            if self.samples.u_reference is not None:
-                # Images that share a standard frame share its noise: counted once for each.
-                variance = variance + (
-                    (self.samples.reference_sharing - 1) * self.samples.u_reference**2
-                )
-            inverse = 1 / variance
+            f = None if p is None else self.values(p)
+            inverse = 1 / self.variance(f, sharing=True)
         elif self.weights == "none":
             inverse = np.ones(self.n)
         else:

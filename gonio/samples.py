@@ -67,6 +67,9 @@ class SharedTerm:
     shift : ndarray, shape (N, 3), optional
         Change of the viewing direction for one standard deviation, tangent vectors in radians;
         used in place of `relative` where given.
+    blur : float
+        Standard deviation on each axis, radians, by which viewing directions may be blurred; used
+        in place of `relative` where positive.
     """
 
     name: str
@@ -74,6 +77,7 @@ class SharedTerm:
     relative: float = 0.0
     group: NDArray[np.int64] | None = None
     shift: FloatArray | None = None
+    blur: float = 0.0
 
     def select(self, keep: NDArray[np.int64]) -> SharedTerm:
         """The term for these samples."""
@@ -203,9 +207,7 @@ class BRDFSamples:
             if limit is None:
                 continue
             theta = np.broadcast_to(getattr(result.directions, name), (len(result),))
-            result = result.select(
-                theta <= limit + 1e-9, f"{name} <= {np.degrees(limit):.6g} deg"
-            )
+            result = result.select(theta <= limit + 1e-9, f"{name} <= {np.degrees(limit):.6g} deg")
             if len(result) == 0:
                 raise DataError(
                     f"no sample has {name} <= {np.degrees(limit):.6g} deg; "
@@ -292,7 +294,14 @@ def _to_dataset(samples: BRDFSamples) -> Any:
         variables["member_offset"] = ("bound", samples.cells.offsets)
     terms = []
     for k, term in enumerate(samples.shared):
-        terms.append({"name": term.name, "meaning": term.meaning, "relative": term.relative})
+        terms.append(
+            {
+                "name": term.name,
+                "meaning": term.meaning,
+                "relative": term.relative,
+                "blur": term.blur,
+            }
+        )
         if term.group is not None:
             variables[f"shared_{k}_group"] = ("sample", term.group)
         if term.shift is not None:
@@ -341,6 +350,7 @@ def _from_dataset(dataset: Any) -> BRDFSamples:
             float(item["relative"]),
             column(f"shared_{k}_group"),
             column(f"shared_{k}_shift"),
+            float(item["blur"]),
         )
         for k, item in enumerate(json.loads(dataset.attrs["shared"]))
     )

@@ -29,11 +29,11 @@ from gonio.errors import ConfigurationError, DataError
 from gonio.files import write_text
 
 SCHEMA = "gonio.session/1"
-ROLES = ("background", "standard", "sample")
 MAX_FRAME_PIXELS = 1 << 28
 MAX_FRAMES = 1 << 24
 
 Role = Literal["background", "standard", "sample"]
+ROLES: tuple[Role, ...] = ("background", "standard", "sample")
 Frame = NDArray[np.uint16]
 
 
@@ -56,7 +56,7 @@ class LensCalibration(_Record):
     projection: Literal["equidistant", "equisolid", "kannala_brandt"]
     focal_length_mm: float = Field(gt=0)
     k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    field_deg: float = Field(180.0, gt=0, le=180)
+    field_deg: float = Field(default=180.0, gt=0, le=180)
 
 
 class Camera(_Record):
@@ -78,7 +78,7 @@ class Certificate(_Record):
 
     reflectance: float = Field(gt=0, le=1)
     uncertainty: float = Field(ge=0, description="relative standard uncertainty")
-    rolloff: float = Field(0.0, ge=0)
+    rolloff: float = Field(default=0.0, ge=0)
 
 
 class LampRecord(_Record):
@@ -88,13 +88,22 @@ class LampRecord(_Record):
     drift: float = Field(ge=0, description="relative sd of the output, image to image")
 
 
+class Limits(_Record):
+    """What the instrument is known to do to the light and the reduction does not correct."""
+
+    slope_error_deg: float = Field(0.0, ge=0, description="sd of the dome's surface slope")
+    multibounce: float = Field(
+        0.0, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
+    )
+
+
 class Plan(_Record):
     """Which frames are taken: angles in degrees, exposures in seconds."""
 
     theta_i_deg: tuple[float, ...] = Field(min_length=1)
     rotations_deg: tuple[float, ...] = Field(min_length=1)
     exposures_s: tuple[float, ...] = Field(min_length=1)
-    repeats: int = Field(1, ge=1, description="takes of each background and standard frame")
+    repeats: int = Field(default=1, ge=1, description="takes of each background and standard frame")
 
     def takes(self, role: str) -> int:
         """Rotations for the sample, repeats for background and standard."""
@@ -102,10 +111,10 @@ class Plan(_Record):
 
     def images(self) -> Iterator[tuple[Role, int, int]]:
         """(role, take, incidence) in the order in which they are taken."""
-        for role in ("background", "standard", "sample"):
+        for role in ROLES:
             for take in range(self.takes(role)):
                 for incidence in range(len(self.theta_i_deg)):
-                    yield role, take, incidence  # type: ignore[misc]
+                    yield role, take, incidence
 
     @property
     def n_frames(self) -> int:
@@ -117,7 +126,7 @@ class Plan(_Record):
 class Metadata(_Record):
     """Everything that calibration may know, for a simulated or a real rig."""
 
-    schema_: str = Field(SCHEMA, alias="schema")
+    schema_: str = Field(default=SCHEMA, alias="schema")
     instrument: str
     sample: str = Field(description="name of the sample, as the operator wrote it")
     geometry: Geometry
@@ -125,8 +134,11 @@ class Metadata(_Record):
     camera: Camera
     standard: Certificate
     lamp: LampRecord
+    limits: Limits = Limits()
     plan: Plan
-    fingerprint: str = Field("", description="hash of what made the session; resuming checks it")
+    fingerprint: str = Field(
+        default="", description="hash of what made the session; resuming checks it"
+    )
 
 
 class Session:

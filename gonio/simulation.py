@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ import numpy as np
 from gonio import __version__
 from gonio.errors import ConfigurationError
 from gonio.files import write_text
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, rotated
 from gonio.instrument import Instrument, load
 from gonio.materials import get as get_material
 from gonio.models import Model
@@ -26,6 +27,7 @@ from gonio.session import (
     Geometry,
     LampRecord,
     LensCalibration,
+    Limits,
     Metadata,
     Plan,
     Session,
@@ -33,6 +35,8 @@ from gonio.session import (
 
 N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, p. 269)
 ANISOTROPIC_ROTATIONS_DEG = (0.0, 45.0, 90.0)
+
+_MAX_PENDING = 12  # frames that wait for the disk while the next image is computed
 
 Progress = Callable[[int, int], None]
 
@@ -183,6 +187,9 @@ def _metadata(rig: Instrument, plan: Plan, sample: str, fingerprint: str) -> Met
             rolloff=standard.rolloff if standard.rolloff_certified else 0.0,
         ),
         lamp=LampRecord(half_angle_deg=rig.lamp.half_angle_deg, drift=rig.lamp.drift),
+        limits=Limits(
+            slope_error_deg=rig.dome.slope_error_deg, multibounce=rig.surroundings.multibounce
+        ),
         plan=plan,
         fingerprint=fingerprint,
     )
@@ -241,8 +248,9 @@ def _record(
     """Expose and write every frame that is not there yet, in the plan's order."""
     n = plan.n_frames
     sensor = rig.sensor
-    with ThreadPoolExecutor(1) as writer:
-        pending: Future[None] | None = None
+    writer = ThreadPoolExecutor(1)
+    pending: deque[Future[None]] = deque()
+    try:
         for number, key, rate, draws in _images(session, surface, rig, plan, seed, threads):
             for k, time_s in enumerate(plan.exposures_s):
                 if session.has(*key, k):
@@ -262,14 +270,16 @@ def _record(
                     frame=number * len(plan.exposures_s) + k,
                     threads=threads,
                 )
-                # One frame is written while the next is exposed; the order stays the plan's.
-                if pending is not None:
-                    pending.result()
+                # Frames are written while later ones are exposed; the order stays the plan's.
+                pending.append(writer.submit(session.write, *key, k, frame))
+                if len(pending) > _MAX_PENDING:
+                    pending.popleft().result()
                     if progress is not None:
                         progress(session.n_done, n)
-                pending = writer.submit(session.write, *key, k, frame)
-        if pending is not None:
-            pending.result()
+        for written in pending:
+            written.result()
+    finally:
+        writer.shutdown(cancel_futures=True)
     if progress is not None:
         progress(session.n_done, n)
 
@@ -287,7 +297,7 @@ def _images(
 
     images = list(plan.images())
     draws = _Draws.from_seed(seed, rig, len(images))
-    rays = imaging.trace_rays(rig, draws.dome_seed)
+    rays = imaging.trace_rays(rig, draws.dome_seed, threads=threads)
     response = rig.sensor.response(draws.pattern_seed).ravel()
     white = imaging.white_rate(rig, rays)
     turned: tuple[float, FloatArray] = (0.0, rays.w_r)
@@ -297,26 +307,24 @@ def _images(
         theta_i = np.radians(plan.theta_i_deg[incidence])
         signal = np.zeros(len(rays.pixel))
         if role != "background":
-            lit = imaging.lit_weights(rig, rays, theta_i)
+            lit = imaging.lit_weights(rig, rays, theta_i, threads=threads)
             if role == "standard":
                 f, rho = _standard_brdf(rig, rays, lit, draws.standard_scale)
             else:
                 psi = np.radians(plan.rotations_deg[take])
                 if turned[0] != psi:
                     turned = (psi, imaging.in_sample_frame(rays, psi))
-                w_i = imaging.rotated(rig.lamp.directions(theta_i, rays.source), psi)
+                w_i = rotated(rig.lamp.directions(theta_i, rays.source), psi)
                 f = imaging.mean_brdf(
                     surface.model, surface.p, w_i, turned[1], lit, threads=threads
                 )
                 centre = w_i.mean(axis=0)
                 rho = 0.0
                 if rig.surroundings.multibounce:
-                    rho = imaging.albedo(
-                        surface.model, surface.p, centre / np.linalg.norm(centre)
-                    )
+                    rho = imaging.albedo(surface.model, surface.p, centre / np.linalg.norm(centre))
             gain = 1 + rig.surroundings.multibounce * rho
             signal = white * np.cos(theta_i) * np.pi * f * gain
-        signal += imaging.stray_rate(rig, rays, theta_i)
+        signal += imaging.stray_rate(rig, rays, theta_i, threads=threads)
         signal *= draws.lamp[number]
         signal += rig.surroundings.ambient * white
         rate = np.zeros(rig.sensor.shape)

@@ -1,1 +1,152 @@
-"""Stub."""
+"""The command `gonio`: one file of this folder is one command, imported when it is run.
+
+Exit codes: 0 done; 1 the result did not meet its own checks, or a fault in gonio; 2 usage or
+configuration; 3 data that cannot be used; 4 interrupted, the same command continues.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import NoReturn
+
+import rich_click as click
+
+from gonio import __version__
+from gonio.errors import GonioError, SessionInterruptedError, unknown_name
+
+# In the order of the work. The help of the group comes from here and imports no command.
+_COMMANDS = {
+    "simulate": "Record the raw frames of a surface on a virtual instrument.",
+    "reduce": "Turn raw frames into BRDF samples with uncertainties.",
+    "fit": "Fit a reflectance model to BRDF samples.",
+    "plot": "Draw BRDF samples or a fit.",
+    "evaluate": "Evaluate a model at the directions of a file.",
+    "materials": "List the papers' materials, or show one.",
+    "models": "List the reflectance models, or show one.",
+    "instruments": "List the virtual instruments, or show one.",
+    "doctor": "Check this installation.",
+}
+
+
+class _Commands(click.RichGroup):
+    """The group of all commands; a command's module is imported when the command is run."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        # Help and completion ask for every command in turn: a name and one line serve them.
+        if cmd_name not in _COMMANDS:
+            return None
+        return click.RichCommand(name=cmd_name, help=_COMMANDS[cmd_name])
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name, *rest = args
+        if name.startswith("-"):
+            return super().resolve_command(ctx, args)
+        if name not in _COMMANDS:
+            raise click.UsageError(str(unknown_name("command", name, _COMMANDS)), ctx)
+        command: click.Command = importlib.import_module(f"gonio.cli.{name}").command
+        return name, command, rest
+
+
+@click.group(
+    name="gonio",
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.version_option(__version__, prog_name="gonio", message="%(prog)s %(version)s")
+@click.pass_context
+def group(ctx: click.Context) -> None:
+    """A virtual imaging gonioreflectometer and a BRDF fitting toolkit.
+
+    simulate records raw frames, reduce turns them into BRDF samples, fit finds the parameters
+    of a reflectance model. 'gonio COMMAND --help' tells more.
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help(), err=True)
+        ctx.exit(2)
+
+
+def main(args: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave with its exit code.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        The words after `gonio`; those of this process where not given.
+    """
+    code = _run(args)
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has gone. Python would flush once more at exit and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = code or 1
+    sys.exit(code)
+
+
+def _run(args: Sequence[str] | None) -> int:
+    """Exit code of a run; errors become one sentence on stderr."""
+    try:
+        code = group.main(args, prog_name="gonio", standalone_mode=False)
+    except GonioError as error:
+        return _told(error)
+    except click.ClickException as error:
+        return _told_as_usage(error)
+    except (click.Abort, KeyboardInterrupt):
+        return _told(SessionInterruptedError("interrupted; run the same command again."))
+    except OSError as error:
+        return _told_by_system(error)
+    except Exception as error:
+        return _told_as_fault(error)
+    return code if isinstance(code, int) else 0
+
+
+def _told(error: GonioError) -> int:
+    _say(str(error) if isinstance(error, SessionInterruptedError) else f"Error: {error}")
+    return error.exit_code
+
+
+def _told_as_usage(error: click.ClickException) -> int:
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is not None:
+        pieces = " ".join(context.command.collect_usage_pieces(context))
+        _say(f"Usage: {context.command_path} {pieces}")
+        _say(f"Try '{context.command_path} --help' for help.")
+    _say(f"Error: {error.format_message()}")
+    return error.exit_code
+
+
+def _told_by_system(error: OSError) -> int:
+    """A file or a disk that refuses, where no step of gonio said so in its own words."""
+    if error.errno is None or error.errno == errno.EPIPE:
+        return _told_as_fault(error)
+    where = f"{error.filename}: " if error.filename is not None else ""
+    _say(f"Error: {where}{error.strerror}.")
+    return 3
+
+
+def _told_as_fault(error: Exception) -> int:
+    if os.environ.get("GONIO_DEBUG") == "1":
+        traceback.print_exception(error)
+        return 1
+    text = " ".join(str(error).split())
+    _say(
+        f"Error: unexpected {type(error).__name__}{': ' if text else ''}{text}. This is a fault in "
+        "gonio: run it again with GONIO_DEBUG=1 and report what it prints, together with the "
+        "output of 'gonio doctor'."
+    )
+    return 1
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)

@@ -46,8 +46,8 @@ class Instrument(Part):
     name: str
     description: str = ""
     usable_theta_r_deg: float = Field(gt=0, le=90, description="rim mask of the reduction")
-    theta_i_max_deg: float = Field(75.0, gt=0, lt=90, description="reach of the lamp arm")
-    rays_per_pixel: int = Field(16, ge=1, le=1024)
+    theta_i_max_deg: float = Field(default=75.0, gt=0, lt=90, description="reach of the lamp arm")
+    rays_per_pixel: int = Field(default=16, ge=1, le=1024)
     lamp: Lamp
     holder: Holder
     dome: Dome

@@ -26,20 +26,22 @@ class Dome(Part):
 
     >>> theta_r, phi_r = Dome(shape="ellipsoid", R=150.0, D=15.0).reflected_angles(0.0, 0.0)
     >>> round(float(np.degrees(theta_r)), 3), round(float(np.degrees(phi_r)), 3)
-    (11.366, -90.0)
+    (11.365, -90.0)
     """
 
     shape: Literal["sphere", "ellipsoid"] = "ellipsoid"
     R: float = Field(gt=0, description="radius of the sphere, semi-minor axis of the ellipsoid, mm")
     D: float = Field(gt=0, description="half the separation of camera and target, mm")
-    reflectance: float = Field(0.45, gt=0, lt=1, description="R_d of the coating")
-    transmittance: float = Field(0.45, gt=0, lt=1, description="T_d, light's way in")
-    slope_error_deg: float = Field(0.0, ge=0, description="sd of the surface slope at the zenith")
+    reflectance: float = Field(default=0.45, gt=0, lt=1, description="R_d of the coating")
+    transmittance: float = Field(default=0.45, gt=0, lt=1, description="T_d, light's way in")
+    slope_error_deg: float = Field(
+        default=0.0, ge=0, description="sd of the surface slope at the zenith"
+    )
     rim_slope_error_deg: float = Field(
-        0.0, ge=0, description="sd of the slope at the rim, added as (theta/90 deg)^6"
+        default=0.0, ge=0, description="sd of the slope at the rim, added as (theta/90 deg)^6"
     )
     slope_correlation_deg: float = Field(
-        10.0, gt=0, description="distance over which slope errors are alike"
+        default=10.0, gt=0, description="distance over which slope errors are alike"
     )
 
     @model_validator(mode="after")
@@ -98,13 +100,17 @@ class Dome(Part):
         landing : ndarray, shape (..., 2)
             Where the rays meet the plane z = 0, mm from the target T.
         """
-        point = self.hit(origin, direction)
+        return self.reflect(self.hit(origin, direction), direction, slope)
+
+    def reflect(
+        self, point: FloatArray, direction: FloatArray, slope: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """`trace` from the points of the dome (..., 3), in mm, that the rays meet."""
         axes = np.array([self.R, self.semi_axis_y, self.R])
-        normal = point / axes**2
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        normal = _unit(point / axes**2)
         if slope is not None:
             normal = _tilted(normal, slope)
-        down = direction - 2 * np.sum(direction * normal, axis=-1, keepdims=True) * normal
+        down = direction - 2 * _dot(direction, normal)[..., None] * normal
         # A ray that grazes or leaves upwards lands far outside any sample.
         z = np.minimum(down[..., 2], -1e-9)
         landing = point[..., :2] - (point[..., 2] / z)[..., None] * down[..., :2]
@@ -114,9 +120,7 @@ class Dome(Part):
         """Points of the dome, mm, that rays from inside meet: the far root of the quadratic."""
         axes = np.array([self.R, self.semi_axis_y, self.R])
         o, d = origin / axes, direction / axes
-        a = np.sum(d * d, axis=-1)
-        b = np.sum(o * d, axis=-1)
-        c = np.sum(o * o, axis=-1) - 1
+        a, b, c = _dot(d, d), _dot(o, d), _dot(o, o) - 1
         t = (-b + np.sqrt(b * b - a * c)) / a
         return np.asarray(origin + t[..., None] * direction)
 
@@ -127,6 +131,8 @@ class Dome(Part):
         exp(-s^2 / 2 c^2) with the distance s, c being `slope_correlation_deg` as an arc of R. The
         field belongs to the dome: one seed, one field.
         """
+        from gonio.instrument.slope_field import sum_of_waves
+
         waves = 64
         k = rng.normal(size=(waves, 3)) / np.radians(self.slope_correlation_deg)
         phase = rng.uniform(0, 2 * np.pi, size=(2, waves))
@@ -134,19 +140,28 @@ class Dome(Part):
         sd = np.radians(
             self.slope_error_deg + self.rim_slope_error_deg * (theta / (np.pi / 2)) ** 6
         )
-        unit = point / self.R
-        field = np.zeros((*point.shape[:-1], 2))
-        for wave in range(waves):
-            argument = unit @ k[wave]
-            for axis in range(2):
-                field[..., axis] += np.cos(argument + phase[axis, wave])
-        return field * np.sqrt(2 / waves) * sd[..., None]
+        field = np.empty((*point.shape[:-1], 2))
+        turn = 2 * np.pi
+        sum_of_waves(
+            np.ascontiguousarray(point).reshape(-1, 3),
+            k / (turn * self.R),
+            phase / turn,
+            field.reshape(-1, 2),
+        )
+        return np.asarray(field * np.sqrt(2 / waves) * sd[..., None])
 
 
 def _tilted(normal: FloatArray, slope: FloatArray) -> FloatArray:
     x_hat = np.array([1.0, 0.0, 0.0])
     t_x = x_hat - normal[..., :1] * normal
-    t_x /= np.maximum(np.linalg.norm(t_x, axis=-1, keepdims=True), 1e-12)
+    t_x /= np.sqrt(np.maximum(_dot(t_x, t_x), 1e-24))[..., None]
     t_y = np.cross(normal, t_x)
-    tilted = normal + slope[..., :1] * t_x + slope[..., 1:] * t_y
-    return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))
+    return _unit(normal + slope[..., :1] * t_x + slope[..., 1:] * t_y)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.sqrt(_dot(vectors, vectors))[..., None])

@@ -10,6 +10,7 @@ would, to fourth order.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,9 @@ from gonio.models import Model
 
 if TYPE_CHECKING:
     from gonio.instrument import Instrument
+
+
+_BLOCK = 4096  # pixels whose rays are worked on at a time: some MB
 
 
 def ray_pattern(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -71,7 +75,7 @@ class Rays:
     source: FloatArray
 
 
-def trace_rays(instrument: Instrument, seed: int) -> Rays:
+def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None) -> Rays:
     """Trace every pixel of the instrument through the lens, off the dome, to the sample.
 
     Parameters
@@ -79,6 +83,8 @@ def trace_rays(instrument: Instrument, seed: int) -> Rays:
     instrument : Instrument
     seed : int
         Seed of the dome's slope errors.
+    threads : int, optional
+        The rays do not depend on it.
     """
     lens, dome, sensor = instrument.lens, instrument.dome, instrument.sensor
     in_pixel, in_pupil, in_source = ray_pattern(instrument.rays_per_pixel)
@@ -93,13 +99,13 @@ def trace_rays(instrument: Instrument, seed: int) -> Rays:
 
     def work(start: int, stop: int) -> None:
         origin, direction = _through_lens(instrument, points[start:stop], in_pupil)
+        meets = dome.hit(origin, direction)
         slope = None
         if dome.slope_error_deg or dome.rim_slope_error_deg:
-            rng = np.random.default_rng(seed)
-            slope = dome.slope_errors(dome.hit(origin, direction), rng)
-        w_r[start:stop], landing[start:stop] = dome.trace(origin, direction, slope)
+            slope = dome.slope_errors(meets, np.random.default_rng(seed))
+        w_r[start:stop], landing[start:stop] = dome.reflect(meets, direction, slope)
 
-    map_blocks(work, len(pixel), block=4096)
+    map_blocks(work, len(pixel), threads=threads, block=_BLOCK)
     theta_c = theta_c[pixel]
     throughput = lens.relative_illumination(theta_c) * lens.solid_angle(theta_c)
     return Rays(pixel, throughput, w_r, landing, in_source)
@@ -115,26 +121,36 @@ def _through_lens(
     edge = lens.radius(np.radians(lens.field_deg / 2))
     theta_c = lens.polar_angle(np.minimum(radius, edge))
     chief = unit_vectors(theta_c, np.arctan2(points[..., 1], points[..., 0]))
-    pupil = np.zeros((*chief.shape[:-1], 3))
-    pupil[..., :2] = in_pupil * lens.pupil_mm / 2
+    pupil = np.zeros((len(in_pupil), 3))
+    pupil[:, :2] = in_pupil * lens.pupil_mm / 2
     centre = np.array([0.0, -dome.D, 0.0])
     if lens.pupil_mm == 0:
         return np.broadcast_to(centre, chief.shape), chief
     # The lens is focused on the sphere of radius R/2 about the dome's centre, where the dome
     # brings parallel light to a focus, or on the dome itself.
     target_radius = dome.R / 2 if lens.focus == "R/2" else dome.R
-    b = chief @ centre
+    b = -dome.D * chief[..., 1]
     distance = -b + np.sqrt(b * b + target_radius**2 - dome.D**2)
     direction = distance[..., None] * chief - pupil
-    return centre + pupil, direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    direction /= np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]
+    return np.broadcast_to(centre + pupil, chief.shape), direction
 
 
-def lit_weights(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
+def lit_weights(
+    instrument: Instrument, rays: Rays, theta_i: float, *, threads: int | None = None
+) -> FloatArray:
     """Share of each ray (n, rays) in its pixel: 1/rays where it lands on lit sample, else 0."""
-    x, y = rays.landing[..., 0], rays.landing[..., 1]
-    on_sample = x * x + y * y <= (instrument.holder.sample_diameter_mm / 2) ** 2
-    lit = instrument.lamp.lit(theta_i, x, y) * on_sample
-    return np.asarray(np.where(rays.w_r[..., 2] > 0, lit, 0.0) / rays.w_r.shape[1])
+    n, per_pixel = rays.w_r.shape[:2]
+    radius = instrument.holder.sample_diameter_mm / 2
+    out = np.empty((n, per_pixel))
+
+    def work(start: int, stop: int) -> None:
+        x, y = rays.landing[start:stop, :, 0], rays.landing[start:stop, :, 1]
+        lands = (x * x + y * y <= radius**2) & (rays.w_r[start:stop, :, 2] > 0)
+        out[start:stop] = instrument.lamp.lit(theta_i, x, y) * lands / per_pixel
+
+    map_blocks(work, n, threads=threads, block=_BLOCK)
+    return out
 
 
 def white_rate(instrument: Instrument, rays: Rays) -> FloatArray:
@@ -179,18 +195,31 @@ def mean_brdf(
 
 def albedo(model: Model, p: FloatArray, w_i: FloatArray) -> float:
     """Directional-hemispherical reflectance for light from one direction (3,)."""
+    w_r, projected = _hemisphere()
+    return float(np.sum(model.evaluate(np.broadcast_to(w_i, w_r.shape), w_r, p) * projected))
+
+
+@cache
+def _hemisphere() -> tuple[FloatArray, FloatArray]:
+    """Viewing directions and their projected solid angles."""
     theta, phi, weight = hemisphere_quadrature(96, 192)
-    w_r = unit_vectors(theta, phi)
-    f = model.evaluate(np.broadcast_to(w_i, w_r.shape), w_r, p)
-    return float(np.sum(f * np.cos(theta) * weight))
+    return unit_vectors(theta, phi), np.cos(theta) * weight
 
 
-def stray_rate(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
+def stray_rate(
+    instrument: Instrument, rays: Rays, theta_i: float, *, threads: int | None = None
+) -> FloatArray:
     """Lamp light, e-/s, that reaches each pixel (n,) without the sample's help."""
     surroundings = instrument.surroundings
     w_lamp = unit_vectors(theta_i, 0.0)
-    patch = np.arctan(instrument.lamp.lit_diameter_mm / 2 / instrument.dome.R)
-    in_patch = np.mean(rays.w_r @ w_lamp > np.cos(patch), axis=1)
+    edge = np.cos(np.arctan(instrument.lamp.lit_diameter_mm / 2 / instrument.dome.R))
+    in_patch = np.empty(len(rays.w_r))
+
+    def work(start: int, stop: int) -> None:
+        towards_lamp = np.einsum("...i,i->...", rays.w_r[start:stop], w_lamp)
+        in_patch[start:stop] = np.mean(towards_lamp > edge, axis=1)
+
+    map_blocks(work, len(in_patch), threads=threads, block=_BLOCK)
     share = surroundings.stray + surroundings.entry_patch * in_patch
     return np.asarray(share * white_rate(instrument, rays))
 

@@ -18,13 +18,13 @@ class Lens(Part):
     projection: Literal["equidistant", "equisolid", "kannala_brandt"] = "equidistant"
     focal_length_mm: float = Field(gt=0)
     k: tuple[float, float, float, float] = Field(
-        (0.0, 0.0, 0.0, 0.0),
+        default=(0.0, 0.0, 0.0, 0.0),
         description="kannala_brandt: r = f theta (1 + k1 theta^2 + k2 theta^4 + ...)",
     )
     pupil_mm: float = Field(ge=0, description="diameter of the entrance pupil")
-    field_deg: float = Field(180.0, gt=0, le=180, description="full field of view")
+    field_deg: float = Field(default=180.0, gt=0, le=180, description="full field of view")
     vignetting: float = Field(
-        0.0, ge=0, lt=1, description="loss of relative illumination at 90 deg, as theta^2"
+        default=0.0, ge=0, lt=1, description="loss of relative illumination at 90 deg, as theta^2"
     )
     focus: Literal["R/2", "R"] = "R/2"
 
@@ -42,9 +42,9 @@ class Lens(Part):
         f = self.focal_length_mm
         if self.projection == "equisolid":
             return np.asarray(f * np.cos(t / 2))
-        powers = [3, 5, 7, 9]
-        series = sum(n * k * t ** (n - 1) for n, k in zip(powers, self._k(), strict=True))
-        return np.asarray(f * (1 + series))
+        k1, k2, k3, k4 = self._k()
+        q = t * t
+        return np.asarray(f * (1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))))
 
     def polar_angle(self, radius: ArrayLike) -> FloatArray:
         """Polar angle, radians, at a distance from the image's centre in mm; NaN off the image.
@@ -55,7 +55,10 @@ class Lens(Part):
         edge = np.radians(self.field_deg / 2)
         theta = np.minimum(r / self.focal_length_mm, edge)
         for _ in range(20):
-            theta = np.clip(theta - (self.radius(theta) - r) / self.slope(theta), 0, 1.05 * edge)
+            step = (self.radius(theta) - r) / self.slope(theta)
+            theta = np.clip(theta - step, 0, 1.05 * edge)
+            if np.all(np.abs(step) < 1e-9):  # the next step would be of the order of its square
+                break
         outside = r > self.radius(edge) * (1 + 1e-12)
         return np.where(outside, np.nan, theta)
 

@@ -28,7 +28,7 @@ _SMALL_MEAN = 30.0
 _TO_UNIT = 2.0**-32
 
 
-@njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, inline="always")
 def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
     """Ten rounds of Philox 4x32 on a counter of four words under a key of two."""
     for _ in range(10):
@@ -47,7 +47,7 @@ def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
     return c0, c1, c2, c3
 
 
-@njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, inline="always")
 def poisson(mean, uniform, normal):  # type: ignore[no-untyped-def]
     """A Poisson number from one uniform (small means) or one normal number (large means)."""
     if mean < _SMALL_MEAN:
@@ -65,11 +65,11 @@ def poisson(mean, uniform, normal):  # type: ignore[no-untyped-def]
     return max(math.floor(x), 0.0)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _counts(rate, time, dark, well, gain, noise, black, top, key0, key1, frame, first, out):  # type: ignore[no-untyped-def]
     """Counts of consecutive pixels: shot noise, full well, read noise, gain, black level, ADC."""
     for k in range(out.shape[0]):
-        a, b, c, d = philox(
+        a, b, c, _ = philox(
             np.uint32(first + k), np.uint32(frame), np.uint32(0), np.uint32(0), key0, key1
         )
         u = (np.float64(a) + 0.5) * _TO_UNIT

@@ -23,7 +23,9 @@ class Sensor(Part):
     rows: int = Field(gt=0, description="rows of the readout window, unbinned")
     columns: int = Field(gt=0, description="columns of the readout window, unbinned")
     pitch_um: tuple[float, float] = Field(description="pixel pitch in x and y")
-    binning: int = Field(1, ge=1, description="side of the block of pixels whose counts are summed")
+    binning: int = Field(
+        default=1, ge=1, description="side of the block of pixels whose counts are summed"
+    )
     full_well_e: float = Field(gt=0)
     read_noise_e: float = Field(ge=0)
     dark_e_per_s: float = Field(ge=0)
@@ -62,7 +64,7 @@ class Sensor(Part):
     @property
     def saturation_dn(self) -> int:
         """Largest count of a binned pixel."""
-        return self.n_summed * (2**self.bits - 1)
+        return self.n_summed * ((1 << self.bits) - 1)
 
     @property
     def binned_black_dn(self) -> float:
@@ -88,9 +90,9 @@ class Sensor(Part):
         """x of the binned columns and y of the binned rows, mm from the image's centre."""
         pitch_x, pitch_y = (p * 1e-3 * self.binning for p in self.pitch_um)
         rows, columns = self.shape
-        x = (np.arange(columns) - (columns - 1) / 2) * pitch_x
-        y = (np.arange(rows) - (rows - 1) / 2) * pitch_y
-        return x, y
+        x = (np.arange(columns, dtype=np.float64) - (columns - 1) / 2) * pitch_x
+        y = (np.arange(rows, dtype=np.float64) - (rows - 1) / 2) * pitch_y
+        return np.asarray(x), np.asarray(y)
 
     def response(self, seed: int) -> FloatArray:
         """Relative response 1 + PRNU of every binned pixel, a fixed pattern of the camera."""

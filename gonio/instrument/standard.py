@@ -16,11 +16,15 @@ class Standard(Part):
     reflectance: float = Field(gt=0, le=1, description="certified reflectance")
     uncertainty: float = Field(ge=0, lt=0.5, description="relative standard uncertainty of it")
     rolloff: float = Field(
-        0.0, ge=0, lt=0.4, description="loss at theta_r = 75 deg; 0 is a Lambertian standard"
+        default=0.0,
+        ge=0,
+        lt=0.4,
+        description="loss at theta_r = 75 deg; 0 is a Lambertian standard",
     )
     rolloff_certified: bool = Field(
-        True, description="whether the certificate states the rolloff; if not, the reduction "
-        "takes the standard as Lambertian, as Ward's eq. (2) does"
+        default=True,
+        description="whether the certificate states the rolloff; if not, the reduction "
+        "takes the standard as Lambertian, as Ward's eq. (2) does",
     )
 
     def brdf(self, theta_r: ArrayLike) -> FloatArray:

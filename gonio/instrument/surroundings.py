@@ -11,14 +11,21 @@ class Surroundings(Part):
     """Stray light, the lamp's entry patch, ambient light and light that goes round twice."""
 
     stray: float = Field(
-        0.0, ge=0, description="lamp light scattered to every pixel, as a fraction of the white "
-        "standard at normal incidence"
+        default=0.0,
+        ge=0,
+        description="lamp light scattered to every pixel, as a fraction of the white "
+        "standard at normal incidence",
     )
     entry_patch: float = Field(
-        0.0, ge=0, description="the same inside the patch of the dome where the beam enters"
+        default=0.0, ge=0, description="the same inside the patch of the dome where the beam enters"
     )
-    ambient: float = Field(0.0, ge=0, description="room light, same unit; it does not drift")
+    ambient: float = Field(
+        default=0.0, ge=0, description="room light, same unit; it does not drift"
+    )
     multibounce: float = Field(
-        0.0, ge=0, lt=0.5, description="g: the irradiance of the sample grows by 1 + g albedo, "
-        "light thrown back by the lens front and the dome"
+        default=0.0,
+        ge=0,
+        lt=0.5,
+        description="g: the irradiance of the sample grows by 1 + g albedo, "
+        "light thrown back by the lens front and the dome",
     )

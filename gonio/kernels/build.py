@@ -16,13 +16,13 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
 _MARK = "# HEADER ENDS"
-_HEADER = '''"""Loops compiled around {module}.{name}; written by gonio.kernels.build, safe to delete."""
+_HEADER = '''"""Loops around {module}.{name}, written by gonio.kernels.build; safe to delete."""
 from numba import njit
 from {module} import {name} as source
 from gonio.kernels.build import compiled
@@ -50,7 +50,7 @@ class Loops:
     image: Callable[..., None]
 
 
-@lru_cache(maxsize=None)
+@cache
 def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     """Compiled loops around `kernel(xi, yi, zi, xr, yr, zr, *parameters)`.
 
@@ -139,7 +139,7 @@ def _load(text: str, origin: str) -> ModuleType:
     return module
 
 
-@lru_cache(maxsize=None)
+@cache
 def _cache_folder() -> Path:
     """The cache folder, or a temporary one where no home can be written."""
     given = os.environ.get("GONIO_CACHE_DIR")

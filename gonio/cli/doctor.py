@@ -1,0 +1,176 @@
+"""`gonio doctor`: what this installation is made of and whether it works."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import re
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+
+from gonio import __version__
+
+_DIGITS = 1e-12
+
+
+@click.command(name="doctor")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.pass_context
+def command(ctx: click.Context, as_json: bool) -> None:
+    """Check this installation: versions, cores, cache, and two computations.
+
+    The exit code is 1 where a dependency is missing or a computation is wrong.
+    """
+    from gonio.cli.options import echo_json
+
+    report = _report()
+    if as_json:
+        echo_json(report)
+    else:
+        _show(report)
+    ctx.exit(0 if report["ok"] else 1)
+
+
+def _report() -> dict[str, Any]:
+    needed, extra = _requirements()
+    versions = {name: _version(name) for name in needed}
+    missing = sorted(name for name, version in versions.items() if version is None)
+    checks = [] if missing else [_check(*each) for each in _CHECKS]
+    return {
+        "schema": "gonio.doctor/1",
+        "ok": not missing and all(check["ok"] for check in checks),
+        "gonio": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "dependencies": versions,
+        "missing": missing,
+        "missing_optional": sorted(name for name in extra if _version(name) is None),
+        "cores": _cores(),
+        "threads": None if missing else _threads(),
+        "cache": None if missing else _cache(),
+        "checks": checks,
+    }
+
+
+def _requirements() -> tuple[list[str], list[str]]:
+    """Names of what gonio needs, and of what only its extras need."""
+    needed: list[str] = []
+    extra: list[str] = []
+    for line in metadata.requires("gonio") or []:
+        name = re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0]
+        (extra if "extra ==" in line else needed).append(name)
+    return needed, extra
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _threads() -> int:
+    from gonio.kernels.threads import default_threads
+
+    return default_threads()
+
+
+def _cache() -> dict[str, Any]:
+    """The folder of compiled code; a temporary one stands in where it cannot be written."""
+    from gonio.kernels import build
+
+    wanted = Path(os.environ.get("GONIO_CACHE_DIR") or Path.home() / ".cache" / "gonio")
+    return {"folder": str(wanted), "writable": build._cache_folder() == wanted}
+
+
+def _check(title: str, compute: Callable[[], tuple[float, float]]) -> dict[str, Any]:
+    """One computation against a number from plain `math`; any error is a failure, not a crash."""
+    try:
+        value, expected = compute()
+    except Exception as error:
+        return {"check": title, "ok": False, "detail": f"{type(error).__name__}: {error}"}
+    difference = abs(value / expected - 1)
+    return {
+        "check": title,
+        "ok": bool(difference < _DIGITS),
+        "detail": f"{value:.13g}, expected {expected:.13g}",
+    }
+
+
+def _ward() -> tuple[float, float]:
+    """Ward 1992, eq. (5a), in the plane of incidence: 30 deg in, 45 deg out."""
+    from gonio import models
+    from gonio.geometry import Directions
+
+    theta_i, theta_r = math.radians(30), math.radians(45)
+    rho_d, rho_s, alpha_x, alpha_y = 0.1, 0.2, 0.15, 0.3
+    value = models.get("ward")(
+        Directions(theta_i, 0.0, theta_r, math.pi),
+        rho_d=rho_d,
+        rho_s=rho_s,
+        alpha_x=alpha_x,
+        alpha_y=alpha_y,
+    )
+    # The half vector lies halfway between the two directions, in the x-z plane.
+    tan_delta = math.tan((theta_r - theta_i) / 2)
+    lobe = math.exp(-((tan_delta / alpha_x) ** 2)) / (4 * math.pi * alpha_x * alpha_y)
+    shading = math.sqrt(math.cos(theta_i) * math.cos(theta_r))
+    return float(value), rho_d / math.pi + rho_s * lobe / shading
+
+
+def _trace() -> tuple[float, float]:
+    """An ellipsoid sends every ray of the camera's focus to the sample's, the other focus."""
+    from gonio.instrument import Dome
+
+    R, D = 150.0, 15.0
+    theta_r, _ = Dome(shape="ellipsoid", R=R, D=D).reflected_angles(0.0, 0.0)
+    return float(theta_r), math.atan2(2 * D * math.hypot(R, D), R * R)
+
+
+_CHECKS: tuple[tuple[str, Callable[[], tuple[float, float]]], ...] = (
+    ("Ward model, sr^-1", _ward),
+    ("ray off the dome, rad", _trace),
+)
+
+
+def _show(report: dict[str, Any]) -> None:
+    versions = [
+        ("gonio", report["gonio"]),
+        ("Python", f"{report['python']} on {report['platform']}"),
+        ("run by", sys.executable),
+    ]
+    for label, text in versions:
+        _line(label, text)
+    for name, version in report["dependencies"].items():
+        _line(f"  {name}", version or "MISSING; install gonio again with its dependencies")
+    if report["missing_optional"]:
+        _line("not installed", f"{', '.join(report['missing_optional'])} (only for development)")
+    _line("cores", f"{report['cores']} for this process")
+    if report["threads"] is not None:
+        _line("threads", f"{report['threads']} (set GONIO_THREADS to change)")
+    if report["cache"] is not None:
+        state = (
+            "can be written"
+            if report["cache"]["writable"]
+            else "CANNOT be written, code is compiled anew each time; set GONIO_CACHE_DIR"
+        )
+        _line("cache", f"{report['cache']['folder']}: {state}")
+    for check in report["checks"]:
+        _line("pass" if check["ok"] else "FAIL", f"{check['check']}: {check['detail']}")
+    click.echo("Everything works." if report["ok"] else "Something is wrong: see above.")
+
+
+def _line(label: str, text: str) -> None:
+    click.echo(f"{label:<14} {text}")

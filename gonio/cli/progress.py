@@ -1,0 +1,74 @@
+"""Progress of long commands on stderr: a line at the start, one at the end, a bar between."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+
+import rich_click as click
+
+
+@contextmanager
+def progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A callback (done, total) that shows how far the work is.
+
+    Parameters
+    ----------
+    doing : str
+        What is done, as the line begins: "simulating rolled_brass".
+    unit : str
+        What is counted, in the plural.
+
+    Notes
+    -----
+    stdout is never touched. One line tells the start and one the end; between them a terminal
+    shows a bar. An error or an interruption leaves the end line out.
+    """
+    click.echo(f"{doing} ...", err=True)
+    start = time.monotonic()
+    last: tuple[int, int] | None = None
+
+    def callback(done: int, total: int) -> None:
+        nonlocal last
+        last = (done, total)
+        show(done, total)
+
+    with _bar(unit) if sys.stderr.isatty() else nullcontext(_nothing) as show:
+        yield callback
+    if last is not None:
+        seconds = time.monotonic() - start
+        click.echo(f"{doing}: {last[0]} of {last[1]} {unit} in {seconds:.1f} s", err=True)
+
+
+def _nothing(done: int, total: int) -> None:
+    """Show nothing: the log of a batch job stays short."""
+
+
+@contextmanager
+def _bar(unit: str) -> Iterator[Callable[[int, int], None]]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        BarColumn(bar_width=30),
+        TextColumn("{task.description}", markup=False),
+        TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        # No total before the first call: the bar moves while rays are traced and code is compiled.
+        task = bar.add_task("preparing", total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, description=f"{done} of {total} {unit}", completed=done, total=total)
+
+        yield show

@@ -1,0 +1,85 @@
+"""`gonio reduce`: raw frames -> BRDF samples."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError, DataError
+
+if TYPE_CHECKING:
+    from gonio.samples import BRDFSamples
+
+
+@click.command(name="reduce")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="SAMPLES.nc",
+    type=click.Path(path_type=Path),
+    help="File of BRDF samples to write, netCDF.",
+)
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads to use; the samples do not depend on it.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+def command(session: Path, output: Path, threads: int | None, as_json: bool) -> None:
+    """Turn the raw frames of SESSION into BRDF samples with uncertainties.
+
+    The exposures are merged, referred to the white standard, placed by the geometry of the dome
+    and averaged in cells. The file is written whole or not at all.
+    """
+    from gonio.calibration.reduction import reduce
+    from gonio.cli.progress import progress
+    from gonio.session import Session
+
+    _check_target(output)
+    opened = Session.open(session)
+    opened.require_complete()
+    with progress(f"reducing {session.name or session}", "images") as callback:
+        samples = reduce(opened, threads=threads, progress=callback)
+    samples.save(output)
+    _tell(samples, output, as_json)
+
+
+def _check_target(output: Path) -> None:
+    """Refuse a target that cannot be written before minutes of work, not after."""
+    if output.suffix != ".nc":
+        raise ConfigurationError(
+            f"{output}: samples are written as netCDF; give a name that ends in .nc.", value=output
+        )
+    if not output.parent.is_dir():
+        raise DataError(
+            f"{output}: the folder {output.parent} does not exist; make it first.", value=output
+        )
+    if output.is_dir():
+        raise ConfigurationError(f"{output}: is a folder; give the name of a file.", value=output)
+
+
+def _tell(samples: BRDFSamples, output: Path, as_json: bool) -> None:
+    from gonio.cli.options import echo_json
+
+    negative = int((samples.value < 0).sum())
+    if as_json:
+        echo_json(
+            {
+                "schema": "gonio.reduce/1",
+                "samples": str(output),
+                "sample": samples.metadata["sample"],
+                "instrument": samples.metadata["instrument"],
+                "n_samples": len(samples),
+                "n_negative": negative,
+                "history": list(samples.history),
+            }
+        )
+        return
+    for line in samples.history:
+        click.echo(f"- {line}")
+    click.echo(f"{output}: {len(samples)} samples, {negative} of them negative (noise around 0).")

@@ -2,7 +2,7 @@
 
 A session is a folder:
 
-- `session.json`: metadata, written first, synced and renamed;
+- `session.json`: metadata, written before the first frame, synced and renamed;
 - `frames.zarr`: zarr v3, one array a role, one chunk a frame;
 - `manifest.jsonl`: one line a frame with its crc32, appended and synced after the frame itself is
   on the disk. A frame is in the session when its line is: a crash loses at most the frame that
@@ -173,19 +173,20 @@ class Session:
             if session.metadata.fingerprint != metadata.fingerprint:
                 raise ConfigurationError(
                     f"{path}: holds a session of {session.metadata.sample} on "
-                    f"{session.metadata.instrument} made with other settings or another seed; "
+                    f"{session.metadata.instrument} made with other settings or another seed than "
+                    f"the one asked for, {metadata.sample} on {metadata.instrument}; "
                     "give another folder or delete it.",
                     value=path,
                 )
             return session
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if path.exists() and not _can_become_session(path):
             raise ConfigurationError(
                 f"{path}: exists and is not a session; give another name.", value=path
             )
         try:
             path.mkdir(parents=True, exist_ok=True)
-            _create_arrays(path / "frames.zarr", metadata)
             (path / "manifest.jsonl").touch()
+            _create_arrays(path / "frames.zarr", metadata)
         except OSError as error:
             raise _refused(path, error) from error
         # session.json comes last: a folder without it is not a session yet.
@@ -326,6 +327,16 @@ def read_truth(path: str | Path) -> dict[str, Any] | None:
     return content
 
 
+def _can_become_session(path: Path) -> bool:
+    """True for an empty folder, or one whose making was interrupted before its session.json."""
+    if not path.is_dir():
+        return False
+    names = {entry.name for entry in path.iterdir() if not entry.name.startswith(".session.json.")}
+    manifest = path / "manifest.jsonl"
+    begun = manifest.is_file() and manifest.stat().st_size == 0
+    return not names or (begun and names <= {"manifest.jsonl", "frames.zarr"})
+
+
 def _create_arrays(path: Path, metadata: Metadata) -> None:
     import zarr
     from zarr.codecs import BloscCodec
@@ -387,7 +398,8 @@ def _sync(path: Path) -> None:
     if path.exists():
         with path.open("rb") as file:
             os.fsync(file.fileno())
-    folder = os.open(path.parent if path.parent.exists() else path.parents[4], os.O_RDONLY)
+    nearest = next(parent for parent in path.parents if parent.exists())
+    folder = os.open(nearest, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:

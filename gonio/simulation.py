@@ -250,6 +250,12 @@ def _record(
     sensor = rig.sensor
     writer = ThreadPoolExecutor(1)
     pending: deque[Future[None]] = deque()
+
+    def finish_one() -> None:
+        pending.popleft().result()
+        if progress is not None:
+            progress(session.n_done, n)
+
     try:
         for number, key, rate, draws in _images(session, surface, rig, plan, seed, threads):
             for k, time_s in enumerate(plan.exposures_s):
@@ -273,15 +279,11 @@ def _record(
                 # Frames are written while later ones are exposed; the order stays the plan's.
                 pending.append(writer.submit(session.write, *key, k, frame))
                 if len(pending) > _MAX_PENDING:
-                    pending.popleft().result()
-                    if progress is not None:
-                        progress(session.n_done, n)
-        for written in pending:
-            written.result()
+                    finish_one()
+        while pending:
+            finish_one()
     finally:
         writer.shutdown(cancel_futures=True)
-    if progress is not None:
-        progress(session.n_done, n)
 
 
 def _images(

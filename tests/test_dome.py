@@ -1,14 +1,16 @@
 """The dome's exact trace against independent solutions, and eq. (3) against the trace."""
 
+from types import MappingProxyType
+
 import numpy as np
 import pytest
-from scipy.optimize import brentq, root
-
 from gonio.calibration.reflector import (
     camera_angles,
     mapping_error,
     reflected_angles,
 )
+from scipy.optimize import brentq, root
+
 from gonio.geometry import angles, hemisphere_quadrature, unit_vectors
 from gonio.instrument import Dome
 
@@ -204,7 +206,9 @@ class TestEquation3:
 
 
 class TestSlopeErrors:
-    PARTS = {"slope_error_deg": 0.03, "rim_slope_error_deg": 0.2, "slope_correlation_deg": 10.0}
+    PARTS = MappingProxyType(
+        {"slope_error_deg": 0.03, "rim_slope_error_deg": 0.2, "slope_correlation_deg": 10.0}
+    )
     SEEDS = 500
 
     def fields(self, theta_deg, phi_deg=0.0):

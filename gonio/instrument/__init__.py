@@ -108,8 +108,10 @@ def _parse(text: str, where: str) -> Instrument:
 
 
 def _sentence(where: str, error: ValidationError) -> str:
-    """The first complaint of pydantic as one sentence, with the nearest name of a wrong key."""
-    first: Any = error.errors()[0]
+    """One complaint of pydantic as a sentence, with the nearest name of a wrong key."""
+    # A misspelt key is reported before the key that is then missing.
+    complaints: list[Any] = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    first = complaints[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         owner: Any = Instrument

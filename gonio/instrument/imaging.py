@@ -120,20 +120,20 @@ def _through_lens(
     # A ray of a rim pixel may leave the field by a fraction of a pixel; it is held at the edge.
     edge = lens.radius(np.radians(lens.field_deg / 2))
     theta_c = lens.polar_angle(np.minimum(radius, edge))
-    chief = unit_vectors(theta_c, np.arctan2(points[..., 1], points[..., 0]))
-    pupil = np.zeros((len(in_pupil), 3))
-    pupil[:, :2] = in_pupil * lens.pupil_mm / 2
+    phi_c = np.arctan2(points[..., 1], points[..., 0])
+    chief = unit_vectors(theta_c, phi_c)
     centre = np.array([0.0, -dome.D, 0.0])
     if lens.pupil_mm == 0:
         return np.broadcast_to(centre, chief.shape), chief
-    # The lens is focused on the sphere of radius R/2 about the dome's centre, where the dome
-    # brings parallel light to a focus, or on the dome itself.
-    target_radius = dome.R / 2 if lens.focus == "R/2" else dome.R
-    b = -dome.D * chief[..., 1]
-    distance = -b + np.sqrt(b * b + target_radius**2 - dome.D**2)
-    direction = distance[..., None] * chief - pupil
+    # A fisheye's entrance pupil faces the chief ray and its distance of sharp focus is the same
+    # in all directions: R/2, about where the dome brings parallel light to a focus, or R.
+    u, v = in_pupil[:, 0] * lens.pupil_mm / 2, in_pupil[:, 1] * lens.pupil_mm / 2
+    cos, sin = np.cos(phi_c), np.sin(phi_c)
+    along = u * chief[..., 2]
+    offset = np.stack([along * cos - v * sin, along * sin + v * cos, -u * np.sin(theta_c)], -1)
+    direction = (dome.R / 2 if lens.focus == "R/2" else dome.R) * chief - offset
     direction /= np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]
-    return np.broadcast_to(centre + pupil, chief.shape), direction
+    return centre + offset, direction
 
 
 def lit_weights(

@@ -62,10 +62,11 @@ def cell_gradient(w_i, w_r, weight, offsets, first, p, out, gradient):
         out[k] = total
 
 
-def batch_chi2(w_i, w_r, factor, value, inverse_variance, batch, out):
+def batch_chi2(w_i, w_r, factor, mode, value, inverse_variance, batch, out):  # type: ignore[no-untyped-def]
     """Sum of squared weighted residuals for each parameter vector of a batch.
 
-    One direction a sample; `factor` turns f there into f integrated over the sample's cell.
+    One direction a sample; factor[k, 0] + factor[k, 1:] (p - mode) turns f there into f integrated
+    over the sample's cell.
     """
     out[:] = 0.0
     for k in range(value.shape[0]):
@@ -76,7 +77,10 @@ def batch_chi2(w_i, w_r, factor, value, inverse_variance, batch, out):
                 f = call(
                     w_i[k, 0], w_i[k, 1], w_i[k, 2], w_r[k, 0], w_r[k, 1], w_r[k, 2], batch[b]
                 )[0]
-            r = value[k] - factor[k] * f
+            integrate = factor[k, 0]
+            for j in range(mode.shape[0]):
+                integrate += factor[k, j + 1] * (batch[b, j] - mode[j])
+            r = value[k] - integrate * f
             out[b] += r * r * inverse_variance[k]
 
 

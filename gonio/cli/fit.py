@@ -1,0 +1,298 @@
+"""`gonio fit`: BRDF samples -> parameters with uncertainties."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError, DataError
+
+if TYPE_CHECKING:
+    from gonio.fitting.result import Estimate, FitResult
+    from gonio.models import Model
+    from gonio.samples import BRDFSamples
+
+
+@click.command(name="fit")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.option("--model", "model_name", required=True, metavar="MODEL", help="Model to fit.")
+@click.option(
+    "--weights",
+    type=click.Choice(["sd", "none", "cos", "coscos"]),
+    help="What each residual is multiplied by: one over its uncertainty (sd, where known), 1, "
+    "cos theta_r, or cos theta_i cos theta_r.",
+)
+@click.option(
+    "--select",
+    "selections",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Use part of a file: wavelength=650 (nm) or channel=NAME.",
+)
+@click.option(
+    "--max-theta-i", type=click.FloatRange(0, 90), metavar="DEG", help="Largest incidence angle."
+)
+@click.option(
+    "--max-theta-r", type=click.FloatRange(0, 90), metavar="DEG", help="Largest viewing angle."
+)
+@click.option(
+    "--start",
+    "starts",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Starting value; without any, the data suggest them.",
+)
+@click.option("--posterior", is_flag=True, help="Sample the posterior with emcee.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
+              help="Seed of everything random.")  # fmt: skip
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    metavar="SESSION",
+    help="Simulated session whose true parameters are shown beside; the fit does not use them.",
+)
+@click.option("--threads", type=click.IntRange(min=1), metavar="N",
+              help="Threads to use; the result does not depend on it.")  # fmt: skip
+@click.option(
+    "-o",
+    "--output",
+    metavar="FIT.json",
+    type=click.Path(path_type=Path),
+    help="Where to write the result; the posterior's draws go beside it.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    source: Path,
+    model_name: str,
+    weights: Any,
+    selections: tuple[str, ...],
+    max_theta_i: float | None,
+    max_theta_r: float | None,
+    starts: tuple[str, ...],
+    posterior: bool,
+    seed: int,
+    truth: Path | None,
+    threads: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Fit MODEL to the BRDF samples of INPUT.
+
+    INPUT is a session, a samples file, or any BRDF file that gonio reads. The exit code is 1
+    where the fit did not meet its own checks.
+    """
+    from gonio.cli.options import parse_parameters
+    from gonio.cli.progress import progress
+    from gonio.fitting.least_squares import fit
+    from gonio.models import get
+
+    model = get(model_name)
+    start = parse_parameters(model, starts) if starts else None
+    if output is not None:
+        _check_target(output)
+    samples = _read(source, _pairs(selections), threads)
+    radians = [None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)]
+    samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
+    _one_channel(source, samples)
+    known = _truth(source if truth is None else truth, model, asked=truth is not None)
+    draws = output.with_suffix(".draws.nc") if posterior and output is not None else None
+    cuts = {
+        "select": dict(_pairs(selections)),
+        "max_theta_i_deg": max_theta_i,
+        "max_theta_r_deg": max_theta_r,
+    }
+
+    def run(callback: Any = None) -> FitResult:
+        return fit(
+            samples,
+            model=model,
+            weights=weights,
+            start=start,
+            posterior=posterior,
+            draws=draws,
+            seed=seed,
+            threads=threads,
+            cuts=cuts,
+            progress=callback,
+        )
+
+    if posterior:
+        with progress(f"fitting {model.name} and sampling its posterior", "steps") as callback:
+            result = run(callback)
+    else:
+        result = run()
+    result = replace(result, source={**result.source, "input": str(source), "truth": known})
+    if output is not None:
+        result.save(output)
+    if as_json:
+        click.echo(result.to_json(), nl=False)
+    else:
+        _tell(result, model, known, output)
+    if not result.ok:
+        ctx.exit(1)
+
+
+def _check_target(output: Path) -> None:
+    """Refuse a target that cannot be written before minutes of work, not after."""
+    if not output.parent.is_dir():
+        raise DataError(
+            f"{output}: the folder {output.parent} does not exist; make it first.", value=output
+        )
+    if output.is_dir():
+        raise ConfigurationError(f"{output}: is a folder; give the name of a file.", value=output)
+
+
+def _pairs(selections: tuple[str, ...]) -> dict[str, str]:
+    pairs = {}
+    for item in selections:
+        key, equals, value = item.partition("=")
+        if not (equals and key.strip() and value.strip()):
+            raise ConfigurationError(
+                f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
+            )
+        pairs[key.strip()] = value.strip()
+    return pairs
+
+
+def _read(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
+    """Samples from a session folder or from a file."""
+    from gonio import formats
+
+    if not source.is_dir():
+        return formats.read(source, select=select)
+    from gonio.calibration.reduction import reduce
+    from gonio.cli.progress import progress
+    from gonio.session import Session
+
+    session = Session.open(source)
+    session.require_complete()
+    with progress(f"reducing {source.name or source}", "images") as callback:
+        samples = reduce(session, threads=threads, progress=callback)
+    return formats.choose(samples, select) if select else samples
+
+
+def _one_channel(source: Path, samples: BRDFSamples) -> None:
+    """One BRDF at a time: refuse samples of several wavelengths or channels."""
+    for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
+        if column is None:
+            continue
+        values = sorted(set(column.tolist()))
+        if len(values) > 1:
+            shown = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values[:40])
+            raise ConfigurationError(
+                f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
+                f"of {shown}.",
+                value=values,
+            )
+
+
+def _truth(session: Path, model: Model, *, asked: bool) -> dict[str, float] | None:
+    """True parameters in file units, where the session is a simulated one of this model."""
+    from gonio.session import read_truth
+
+    found = read_truth(session) if session.is_dir() else None
+    if found is None:
+        if asked:
+            raise DataError(
+                f"{session}: holds no truth; give a session that 'gonio simulate' wrote.",
+                value=session,
+            )
+        return None
+    if found["model"] != model.name:
+        click.echo(
+            f"the session was simulated with {found['model']}, not {model.name}: "
+            "no true values are shown.",
+            err=True,
+        )
+        return None
+    return {q.name: q.to_file(found["parameters"][q.name]) for q in model.parameters}
+
+
+def _tell(
+    result: FitResult, model: Model, truth: dict[str, float] | None, output: Path | None
+) -> None:
+    """The result as a table, with warnings under it."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    weights = {"sd": "1/uncertainty", "none": "equal", "cos": "cos theta_r",
+               "coscos": "cos theta_i cos theta_r"}[result.weights]  # fmt: skip
+    cuts = [
+        f"{name} <= {limit:g} deg"
+        for name, limit in (
+            ("theta_i", result.cuts["max_theta_i_deg"]),
+            ("theta_r", result.cuts["max_theta_r_deg"]),
+        )
+        if limit is not None
+    ]
+    cuts += [f"{key} = {value}" for key, value in result.cuts["select"].items()]
+    click.echo(f"{model.title} ({model.reference})")
+    click.echo(
+        f"{result.n_samples} samples" + (f" with {', '.join(cuts)}" if cuts else "")
+        + f"; weights: {weights}"
+    )  # fmt: skip
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("parameter")
+    for heading in ("value", "std. unc.", "95 % interval"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    if truth is not None:
+        for heading in ("true", "error"):
+            table.add_column(heading, justify="right", no_wrap=True)
+    for name, estimate in result.parameters.items():
+        table.add_row(*_row(name, estimate, None if truth is None else truth[name]))
+    console = Console(width=max(80, _terminal_width()), highlight=False)
+    console.print(table)
+    ratio = f"chi2/dof {result.chi2 / result.dof:.4g}, " if result.weights == "sd" else ""
+    click.echo(f"{ratio}status: {result.status.replace('_', ' ')}")
+    if result.posterior is not None:
+        p = result.posterior
+        click.echo(
+            f"posterior: {'converged' if p.converged else 'NOT converged'}, {p.ess:.0f} effective "
+            f"draws, R-hat {p.r_hat:.4f}, autocorrelation {p.tau:.1f} steps; intervals are its "
+            "quantiles"
+        )
+    for warning in result.warnings:
+        click.echo(f"warning: {warning}")
+    if output is not None:
+        click.echo(f"written to {output}", err=True)
+
+
+def _row(name: str, estimate: Estimate, true: float | None) -> list[str]:
+    unit = f" {estimate.unit}" if estimate.unit else ""
+    digits = _decimals(estimate)
+    interval = "unknown"
+    if estimate.interval_95 is not None:
+        low, high = estimate.interval_95
+        interval = f"{low:.{digits}f} .. {high:.{digits}f}"
+    stderr = "at bound" if estimate.at_bound else "none"
+    if estimate.stderr is not None:
+        stderr = f"{estimate.stderr:.{digits}f}"
+    row = [name + (f" [{estimate.unit}]" if unit else ""), f"{estimate.value:.{digits}f}", stderr,
+           interval]  # fmt: skip
+    if true is not None:
+        error = f"{100 * (estimate.value / true - 1):+.2f} %" if true else ""
+        row += [f"{true:g}", error]
+    return row
+
+
+def _decimals(estimate: Estimate) -> int:
+    """Decimals that show two digits of the standard uncertainty."""
+    u = estimate.stderr
+    if not u and estimate.interval_95 is not None:
+        u = (estimate.interval_95[1] - estimate.interval_95[0]) / 4
+    if not u:
+        return 4
+    return min(max(1 - math.floor(math.log10(u)), 0), 9)
+
+
+def _terminal_width() -> int:
+    import shutil
+
+    return shutil.get_terminal_size((80, 24)).columns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,8 @@ def reduce(
             parts.extend(done)
             if progress is not None:
                 progress(len(parts), n_images)
-    return _collect(session.metadata, parts)
+    samples = _collect(session.metadata, parts)
+    return replace(samples, metadata={**samples.metadata, "session": str(session.path)})
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Eq. (3) is the direction from the target T = (0, D, 0) to the point P of a sphere of radius R about
 the dome's centre that the camera at C = (0, -D, 0) looks at. There is no law of reflection in it:
 it is exact where P really sends T's light to C, which a sphere does only on the plane y = 0, and
-an approximation "good as long as D is small in relation to R" (Ward 1992, p. 267) elsewhere.
+an approximation "good as long as D is small in relation to R" (Ward 1992, section 3.2) elsewhere.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def reflected_angles(
 
     References
     ----------
-    Ward 1992, eq. (3), p. 267.
+    Ward 1992, "Measuring and Modeling Anisotropic Reflection", Computer Graphics 26(2),
+    pp. 265-272, eq. (3), section 3.2.
 
     Examples
     --------

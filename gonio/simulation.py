@@ -33,7 +33,7 @@ from gonio.session import (
     Session,
 )
 
-N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, p. 269)
+N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, section 4.2)
 ANISOTROPIC_ROTATIONS_DEG = (0.0, 45.0, 90.0)
 
 _MAX_PENDING = 12  # frames that wait for the disk while the next image is computed

@@ -57,6 +57,7 @@ ALLOWED = {
     "plot": ALL,
     "report": ALL,
     "cli": ALL,
+    "__main__": ALL,
 }
 
 
@@ -119,7 +120,7 @@ def allowed(module: str, target: str) -> bool:
     if target == "gonio" or not target.startswith("gonio."):
         return True
     if room(target) == "cli":
-        return room(module) == "cli"
+        return room(module) in {"cli", "__main__"}
     inside = target.removeprefix("gonio.")
     rules = ALLOWED[room(module)]
     return (

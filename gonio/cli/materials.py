@@ -32,17 +32,16 @@ def command(name: str | None, as_json: bool) -> None:
 
 
 def _show_all(chosen: list[Material]) -> None:
-    from rich.table import Table
-
-    from gonio.cli.options import table_console
-
-    table = Table("name", "model", "parameters", "paper", "where")
-    table.columns[0].no_wrap = True
+    """One line a material under a heading for each table or figure that prints its numbers."""
+    heading = ""
+    width = max(len(material.name) for material in chosen)
     for material in chosen:
         # Author and year: the full reference stands in the view of one material.
         short = material.paper.partition(",")[0]
-        table.add_row(material.name, material.model, _parameters(material), short, material.where)
-    table_console().print(table)
+        if heading != (source := f"{short}, {material.where} (model {material.model})"):
+            click.echo(("\n" if heading else "") + source)
+            heading = source
+        click.echo(f"  {material.name:<{width}}  {_parameters(material, ' ')}")
 
 
 def _show_one(material: Material) -> None:
@@ -63,12 +62,12 @@ def _show_one(material: Material) -> None:
         console.print(f"{label:<12} {text}")
 
 
-def _parameters(material: Material) -> str:
+def _parameters(material: Material, separator: str = ", ") -> str:
     from gonio import models
     from gonio.cli.options import file_text
 
     model = models.get(material.model)
-    return ", ".join(
+    return separator.join(
         f"{name}={file_text(model.parameter(name), value)}"
         for name, value in material.parameters.items()
     )

@@ -32,15 +32,11 @@ def command(name: str | None, as_json: bool) -> None:
 
 
 def _show_all(chosen: list[Model]) -> None:
-    from rich.table import Table
-
-    from gonio.cli.options import table_console
-
-    table = Table("name", "title", "parameters", "reference")
-    table.columns[0].no_wrap = True
+    """Two lines a model: name and parameters, title and reference."""
+    width = max(len(model.name) for model in chosen)
     for model in chosen:
-        table.add_row(model.name, model.title, ", ".join(model.names), model.reference)
-    table_console().print(table)
+        click.echo(f"{model.name:<{width}}  {', '.join(model.names)}")
+        click.echo(f"    {model.title}; {model.reference}")
 
 
 def _show_one(model: Model) -> None:

@@ -66,8 +66,21 @@ def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
                 f"{name} = {text!r} is not a number; allowed is {file_range(parameter)}.",
                 value=text,
             ) from None
-        found[name] = parameter.check(parameter.from_file(number))
+        found[name] = _checked(parameter, number)
     return found
+
+
+def _checked(parameter: Parameter, number: float) -> float:
+    """The value in radians, refused in the unit in which it was given."""
+    try:
+        return parameter.check(parameter.from_file(number))
+    except ConfigurationError:
+        unit = f" {parameter.file_unit}" if parameter.file_unit else ""
+        raise ConfigurationError(
+            f"{parameter.name} = {number:g}{unit} is out of range; "
+            f"allowed is {file_range(parameter)}.",
+            value=number,
+        ) from None
 
 
 def file_range(parameter: Parameter) -> str:

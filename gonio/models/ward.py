@@ -49,7 +49,7 @@ def kernel(
 MODEL = Model(
     name="ward",
     title="Ward, elliptical Gaussian, exact",
-    reference="Ward 1992, eq. (5a), p. 268",
+    reference="Ward 1992, eq. (5a), section 4.2",
     parameters=(
         Parameter("rho_d", "ρ_d", "diffuse reflectance", 0.2, 0.0, 1.0, linear=True),
         Parameter("rho_s", "ρ_s", "amplitude of the specular lobe", 0.1, 0.0, 1.0, linear=True),

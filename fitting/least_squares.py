@@ -151,7 +151,7 @@ def _find(
     if start is not None:
         candidates = [model.vector(start)]
     else:
-        candidates = optimise.starts(problem, rng)
+        candidates = optimise.starts(problem)
     # Weights from the model's values need the model first: two rounds settle them.
     optimum = optimise.minimise(problem, candidates[0])
     for _ in range(2):

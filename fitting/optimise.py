@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from dataclasses import dataclass
 
@@ -15,6 +16,13 @@ from gonio.models import Parameter
 GRID = 9  # starting values along each nonlinear parameter
 SUBSET = 2000  # samples that choose among the starting values
 STARTS = 2  # starting values that are followed to their minimum
+POLISH_STEPS = 150
+UNDETERMINED = 1e-10  # smallest eigenvalue of the scaled curvature that counts as information
+STOP = 1e-5  # the polish ends where its next step is this part of the uncertainty
+VERIFIED = 1e-3  # a minimum is verified where it is this part
+ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
+DEEPER = 1e-9  # relative difference of chi-squared that is not rounding
+SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,8 @@ class Optimum:
     evaluations : int
         Model passes over the data.
     verified : bool
-        The next Gauss-Newton step is far below the uncertainties.
+        The next Gauss-Newton step is far below the uncertainties, and half a standard uncertainty
+        away along every axis of the uncertainty ellipsoid chi-squared is larger.
     """
 
     p: FloatArray
@@ -45,47 +54,118 @@ class Optimum:
     verified: bool
 
 
-def starts(problem: Problem, rng: np.random.Generator, n: int = STARTS) -> list[FloatArray]:
+def starts(problem: Problem, n: int = STARTS) -> list[FloatArray]:
     """The best n starting values of a coarse grid over the nonlinear parameters.
 
     The linear parameters are solved for at each point of the grid, inside their bounds.
     """
-    from scipy.optimize import lsq_linear
-
     parameters = problem.model.parameters
-    coarse = problem.subset(SUBSET, rng)
-    root = np.sqrt(coarse.inverse_variance)
-    linear = [j for j, q in enumerate(parameters) if q.linear]
-    axes = [_grid(q) for q in parameters if not q.linear]
+    coarse = problem.subset(SUBSET)
+    nonlinear = [j for j, q in enumerate(parameters) if not q.linear]
     scored: list[tuple[float, FloatArray]] = []
-    for point in itertools.product(*axes):
-        p = np.zeros(len(parameters))
-        p[[j for j, q in enumerate(parameters) if not q.linear]] = point
-        p[linear] = [min(max(0.0, parameters[j].lower), parameters[j].upper) for j in linear]
-        f, jac = coarse.jacobian(p)
-        r = (coarse.samples.value - f + jac[:, linear] @ p[linear]) * root
-        if linear:
-            a = jac[:, linear] * root[:, None]
-            bounds = ([parameters[j].lower for j in linear], [parameters[j].upper for j in linear])
-            solution = lsq_linear(a, r, bounds)
-            p[linear] = solution.x
-            r = r - a @ solution.x
-        scored.append((float(r @ r), p))
+    for point in itertools.product(*(_grid(parameters[j]) for j in nonlinear)):
+        p = np.array([min(max(0.0, q.lower), q.upper) for q in parameters])
+        p[nonlinear] = point
+        scored.append(_linear_solved(coarse, p))
     scored.sort(key=lambda item: item[0])
     return [p for _, p in _distinct(scored, n)]
 
 
-def minimise(problem: Problem, start: FloatArray) -> Optimum:
+def minimise(problem: Problem, start: FloatArray, *, search: bool = True) -> Optimum:
     """Follow one start to its minimum: nlopt's SLSQP, then Gauss-Newton steps inside the bounds.
 
     Parameters
     ----------
     problem : Problem
     start : ndarray
-        Any point inside the bounds.
+        Any point inside the bounds; the linear parameters are solved for there.
+    search : bool
+        Where the minimum lies on a bound, lacks curvature, or is not verified, follow the best
+        point of the coarse grid as well and keep the deeper minimum: chi-squared may be
+        stationary on a bound without a minimum there (f depends on sigma^2 only).
     """
-    p, evaluations = _slsqp(problem, start)
-    return _polish(problem, p, evaluations)
+    optimum = _followed(problem, start)
+    lobe_lost = np.any(np.diag(optimum.curvature) <= 0)
+    if search and not (optimum.verified and optimum.free.all() and not lobe_lost):
+        other = _followed(problem, starts(problem, 1)[0], optimum.evaluations)
+        optimum = better(optimum, other)
+    return optimum
+
+
+def better(first: Optimum, second: Optimum) -> Optimum:
+    """The deeper of two minima; the verified one, else the first, where they are the same."""
+    slack = DEEPER * min(first.chi2, second.chi2)
+    if second.chi2 < first.chi2 - slack:
+        return second
+    if second.chi2 <= first.chi2 + slack and second.verified and not first.verified:
+        return second
+    return first
+
+
+def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
+    """Parameters whose derivative, as the kernel gives it, is no derivative of the model.
+
+    The derivatives of a few samples are compared with central differences; a wrong one moves the
+    point at which the fit stops and believes itself at the minimum.
+    """
+    parameters = problem.model.parameters
+    _, jac = problem.jacobian(p)
+    weighted = np.abs(jac) * np.sqrt(problem.inverse_variance)[:, None]
+    strongest = np.argpartition(weighted, -min(4, problem.n), axis=0)[-min(4, problem.n) :]
+    spread = np.linspace(0, problem.n - 1, min(8, problem.n)).astype(np.int64)
+    some = problem.at(np.union1d(strongest, spread))
+    faulty = []
+    for j, q in enumerate(parameters):
+        width = q.upper - q.lower
+        step = float(np.finfo(float).eps ** (1 / 3) * max(abs(p[j]), 1e-3 * width))
+        if not 0 < 2 * step < width:
+            continue
+        centre = p.copy()
+        centre[j] = np.clip(p[j], q.lower + step, q.upper - step)
+        ends = [some.values(centre + side * step * (np.arange(len(p)) == j)) for side in (1, -1)]
+        quotient = (ends[0] - ends[1]) / (2 * step)
+        f, analytic = some.jacobian(centre)
+        analytic = analytic[:, j]
+        largest = max(np.max(np.abs(analytic)), np.max(np.abs(quotient)))
+        rounding = 1e-14 * np.max(np.abs(f)) / step
+        if not np.max(np.abs(analytic - quotient)) <= SAME_GRADIENT * largest + rounding:
+            faulty.append(q.name)
+    return faulty
+
+
+def _followed(problem: Problem, start: FloatArray, evaluations: int = 0) -> Optimum:
+    _, p = _linear_solved(problem, start)
+    p, n = _slsqp(problem, p)
+    return _polish(problem, p, evaluations + n + 1)
+
+
+def _linear_solved(problem: Problem, p: FloatArray) -> tuple[float, FloatArray]:
+    """chi2 and the point with the linear parameters at their best inside the bounds.
+
+    chi2 is quadratic in them, so one pass over the data tells it all.
+    """
+    from scipy.optimize import lsq_linear
+
+    parameters = problem.model.parameters
+    linear = [j for j, q in enumerate(parameters) if q.linear]
+    chi2, g, h = problem.normal_equations(p)
+    scale = np.sqrt(np.diag(h)[linear])
+    if not linear or not np.all(np.isfinite(scale)) or not np.any(scale > 0):
+        return chi2, p
+    linear = [j for j, s in zip(linear, scale, strict=True) if s > 0]
+    scale = scale[scale > 0]
+    values, vectors = np.linalg.eigh(h[np.ix_(linear, linear)] / np.outer(scale, scale))
+    known = values > UNDETERMINED
+    root = np.sqrt(values[known])[:, None] * vectors.T[known]
+    x = p[linear] * scale
+    target = root @ x + (vectors.T[known] @ (g[linear] / scale)) / np.sqrt(values[known])
+    bounds = [np.array([getattr(parameters[j], e) for j in linear]) for e in ("lower", "upper")]
+    y = lsq_linear(root, target, (bounds[0] * scale, bounds[1] * scale), method="bvls").x
+    solved = p.copy()
+    solved[linear] = np.clip(y / scale, *bounds)
+    d = solved - p
+    lower = float(chi2 - 2 * g @ d + d @ h @ d)
+    return (lower, solved) if lower < chi2 else (chi2, p)
 
 
 def _grid(q: Parameter) -> FloatArray:
@@ -155,62 +235,117 @@ def _slsqp(problem: Problem, start: FloatArray) -> tuple[FloatArray, int]:
     optimiser.set_min_objective(objective)
     optimiser.set_ftol_rel(1e-6)
     optimiser.set_maxeval(200)
-    try:
+    # The best point seen is kept; the polish and its checks decide what it is worth. nlopt has
+    # a runtime_error of its own, which is no RuntimeError.
+    with contextlib.suppress(nlopt.RoundoffLimited, nlopt.runtime_error, RuntimeError, ValueError):
         optimiser.optimize(scale.to(start))
-    except (nlopt.RoundoffLimited, RuntimeError, ValueError):
-        # The best point seen is kept; the polish and its checks decide what it is worth.
-        pass
     return best[1], evaluations
 
 
-def _polish(problem: Problem, p: FloatArray, evaluations: int, steps: int = 100) -> Optimum:
-    """Levenberg-Marquardt with an active set of bounds, until the step is negligible."""
+def _polish(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
+    """Levenberg-Marquardt with an active set of bounds, until the step is negligible.
+
+    Where a point half an uncertainty away turns out deeper, it goes on from there.
+    """
+    for _ in range(3):
+        optimum = _marquardt(problem, p, evaluations)
+        deeper, n = _deeper_nearby(problem, optimum)
+        evaluations = optimum.evaluations + n
+        if deeper is None:
+            return Optimum(**{**vars(optimum), "evaluations": evaluations})
+        p = deeper
+    return Optimum(**{**vars(optimum), "evaluations": evaluations, "verified": False})
+
+
+def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
     parameters = problem.model.parameters
     lower = np.array([q.lower for q in parameters])
     upper = np.array([q.upper for q in parameters])
     p = np.clip(p, lower, upper)
+    size = np.sqrt(np.sum(problem.samples.value**2 * problem.inverse_variance))
     chi2, g, h = problem.normal_equations(p)
     evaluations += 1
     damping = 1e-3
-    verified = False
-    for _ in range(steps):
-        free = ~(((p <= lower) & (g <= 0)) | ((p >= upper) & (g >= 0)))
-        newton = _solve(h, g, free, 0.0)
-        # Uncertainties in units of which the step must vanish; a noiseless fit has none.
-        size = np.sqrt(np.maximum(np.diag(h), 1e-300))
-        noise = np.sqrt(max(chi2, 1e-300) / max(problem.n - len(p), 1))
-        if np.max(np.abs(newton) * size, initial=0.0) < 1e-5 * noise:
-            verified = True
+    for _ in range(POLISH_STEPS):
+        free = _free(p, g, lower, upper)
+        if _distance(problem, chi2, g, h, free) <= max(
+            STOP, ROUNDING * size / _noise(problem, chi2)
+        ):
             break
         trial = np.clip(p + _solve(h, g, free, damping), lower, upper)
         new = problem.normal_equations(trial)
         evaluations += 1
         if new[0] <= chi2:
-            small = np.all(np.abs(trial - p) <= 1e-14 * np.abs(p))
+            same = bool(np.all(np.abs(trial - p) <= 1e-14 * np.abs(p)))
             p, (chi2, g, h) = trial, new
             damping = max(damping / 10, 1e-12)
-            if small:
-                verified = True
+            if same:
                 break
         else:
             damping *= 10
             if damping > 1e10:
-                # No step goes down: rounding limits the sum of squares.
-                verified = bool(np.max(np.abs(newton) * size, initial=0.0) < 1e-2 * noise)
-                break
-    free = ~(((p <= lower) & (g <= 0)) | ((p >= upper) & (g >= 0)))
+                break  # no step goes down: rounding limits the sum of squares
+    free = _free(p, g, lower, upper)
+    limit = max(VERIFIED, 1e2 * ROUNDING * size / _noise(problem, chi2))
+    verified = bool(_distance(problem, chi2, g, h, free) <= limit)
     return Optimum(p, chi2, g, h, free, evaluations, verified)
+
+
+def _free(p: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> NDArray[np.bool_]:
+    """Parameters that no bound holds; g points downhill."""
+    return np.asarray(~(((p <= lower) & (g <= 0)) | ((p >= upper) & (g >= 0))))
+
+
+def _noise(problem: Problem, chi2: float) -> float:
+    """Root mean square of the weighted residuals, never 0."""
+    return float(np.sqrt(max(chi2 / max(problem.n - len(problem.model.parameters), 1), 1e-300)))
+
+
+def _distance(
+    problem: Problem, chi2: float, g: FloatArray, h: FloatArray, free: NDArray[np.bool_]
+) -> float:
+    """Length of the next Gauss-Newton step in units of the uncertainty in its direction."""
+    return float(np.sqrt(max(g @ _solve(h, g, free, 0.0), 0.0))) / _noise(problem, chi2)
+
+
+def _deeper_nearby(problem: Problem, optimum: Optimum) -> tuple[FloatArray | None, int]:
+    """A point half an uncertainty away with a smaller chi2, or None; and how many were tried.
+
+    The curvature J^T W J is never negative, also not on a saddle: only chi2 itself tells.
+    """
+    index = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
+    if len(index) == 0:
+        return None, 0
+    parameters = problem.model.parameters
+    bounds = [np.array([getattr(q, end) for q in parameters]) for end in ("lower", "upper")]
+    scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
+    values, vectors = np.linalg.eigh(
+        optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
+    )
+    tried = 0
+    best = (optimum.chi2 * (1 - DEEPER), None)
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value < UNDETERMINED:
+            continue
+        step = np.zeros(len(parameters))
+        step[index] = 0.5 * _noise(problem, optimum.chi2) * scale * vector / np.sqrt(value)
+        for side in (1, -1):
+            trial = np.clip(optimum.p + side * step, *bounds)
+            chi2 = problem.chi2(trial)
+            tried += 1
+            if chi2 < best[0]:
+                best = (chi2, trial)
+    return best[1], tried
 
 
 def _solve(h: FloatArray, g: FloatArray, free: NDArray[np.bool_], damping: float) -> FloatArray:
     """(H + damping diag H) step = g on the free parameters; 0 where the data say nothing."""
     step = np.zeros(len(g))
-    active = free & (np.diag(h) > 0)
-    index = np.flatnonzero(active)
+    index = np.flatnonzero(free & (np.diag(h) > 0))
     if len(index):
         scale = 1 / np.sqrt(np.diag(h)[index])
         scaled = h[np.ix_(index, index)] * np.outer(scale, scale)
         scaled = scaled + damping * np.eye(len(index))
         # rcond leaves out directions that the data do not determine.
-        step[index] = scale * (np.linalg.pinv(scaled, rcond=1e-13) @ (scale * g[index]))
+        step[index] = scale * (np.linalg.pinv(scaled, rcond=UNDETERMINED) @ (scale * g[index]))
     return step

@@ -75,9 +75,7 @@ class Chain:
     def summary(self, path: str | None) -> PosteriorSummary:
         """The part of the chain that stands in a fit's JSON document."""
         tau = self.tau if np.isfinite(self.tau) else float(self.n_steps)
-        return PosteriorSummary(
-            self.ess, self.r_hat, tau, self.acceptance, self.converged, path
-        )
+        return PosteriorSummary(self.ess, self.r_hat, tau, self.acceptance, self.converged, path)
 
     def save(self, path: Path, model: Model) -> None:
         """Write the draws as netCDF with a group `posterior`, angles in degrees.
@@ -268,7 +266,7 @@ def _run(
     sampler = emcee.EnsembleSampler(WALKERS, n_p, likelihood, moves=moves, vectorize=True)
     # emcee keeps a legacy generator; its `random_state` setter ignores a Generator silently, so
     # the state of a seeded RandomState is handed over with the start.
-    legacy = np.random.RandomState(np.random.MT19937(int(rng.integers(0, 2**63))))  # noqa: NPY002
+    legacy = np.random.RandomState(np.random.MT19937(int(rng.integers(0, 2**63))))
     start = _start(likelihood, optimum.p, root, rng)
     state = emcee.State(start, random_state=legacy.get_state())
     state = sampler.run_mcmc(state, BURN_IN)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import FloatArray
@@ -181,16 +182,28 @@ class Problem:
             weighted.T @ jac,
         )
 
-    def subset(self, n: int, rng: np.random.Generator) -> Problem:
-        """At most n samples, taken at their centroids: half the brightest, half at random.
+    def at(self, index: NDArray[np.int64]) -> Problem:
+        """The problem of these samples alone, with their cells and weights."""
+        return replace(
+            self,
+            samples=self.samples.select(index, "some samples"),
+            inverse_variance=self.inverse_variance[index],
+            w_i=np.ascontiguousarray(self.w_i[index]),
+            cells=self.cells.select(index),
+        )
 
-        A narrow lobe is a small part of the hemisphere; a random choice alone could miss it.
+    def subset(self, n: int) -> Problem:
+        """At most n samples, taken at their centroids: half the brightest, half over all.
+
+        A narrow lobe is a small part of the hemisphere; an even choice alone could miss it.
         """
         if self.n <= n:
             index = np.arange(self.n)
         else:
             brightest = np.argpartition(self.samples.value, -n // 2)[-n // 2 :]
-            index = np.union1d(brightest, rng.choice(self.n, n // 2, replace=False))
+            # Multiples of the golden ratio: spread evenly, without the period of a scan.
+            even = (np.arange(n // 2) * 0.6180339887498949) % 1.0 * self.n
+            index = np.union1d(brightest, even.astype(np.int64))
         samples = replace(self.samples, cells=None).select(index, "start values")
         problem = Problem.from_samples(samples, self.model, self.weights, 1)
         inverse = self.inverse_variance[index]

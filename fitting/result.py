@@ -160,7 +160,9 @@ class FitResult:
             data["warnings"] = tuple(data["warnings"])
             return cls(**data)
         except FileNotFoundError:
-            raise DataError(f"{path}: no such file; give a fit that 'gonio fit -o' wrote.") from None
+            raise DataError(
+                f"{path}: no such file; give a fit that 'gonio fit -o' wrote."
+            ) from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataError(
                 f"{path}: not a readable fit ({type(error).__name__}: {error}).", value=path

@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.optimise import Optimum, minimise
+from gonio.fitting.optimise import UNDETERMINED, Optimum, minimise
 from gonio.fitting.problem import Problem
 from gonio.geometry import FloatArray
 from gonio.samples import SharedTerm
-
-UNDETERMINED = 1e-10  # smallest eigenvalue of the scaled curvature that counts as information
 
 
 @dataclass(frozen=True)
@@ -189,7 +187,13 @@ def _held(problem: Problem, j: int, value: float) -> Callable[[FloatArray], floa
         problem.model,
         parameters=tuple(
             # A parameter of no width cannot be scaled: give it the smallest that arithmetic sees.
-            replace(q, lower=value, upper=np.nextafter(value, np.inf), scale="linear")
+            replace(
+                q,
+                lower=value,
+                upper=np.nextafter(value, np.inf),
+                scale="linear",
+                linear=False,
+            )
             if k == j
             else q
             for k, q in enumerate(parameters)
@@ -198,6 +202,6 @@ def _held(problem: Problem, j: int, value: float) -> Callable[[FloatArray], floa
 
     def minimum(start: FloatArray) -> float:
         p = np.insert(start, j, value)
-        return minimise(replace(problem, model=pinned), p).chi2
+        return minimise(replace(problem, model=pinned), p, search=False).chi2
 
     return minimum

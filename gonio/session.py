@@ -91,9 +91,9 @@ class LampRecord(_Record):
 class Limits(_Record):
     """What the instrument is known to do to the light and the reduction does not correct."""
 
-    slope_error_deg: float = Field(0.0, ge=0, description="sd of the dome's surface slope")
+    slope_error_deg: float = Field(default=0.0, ge=0, description="sd of the dome's surface slope")
     multibounce: float = Field(
-        0.0, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
+        default=0.0, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
     )
 
 

@@ -302,6 +302,7 @@ def _images(
     rays = imaging.trace_rays(rig, draws.dome_seed, threads=threads)
     response = rig.sensor.response(draws.pattern_seed).ravel()
     white = imaging.white_rate(rig, rays)
+    f_standard = imaging.standard_brdf(rig, rays)
     turned: tuple[float, FloatArray] = (0.0, rays.w_r)
     for number, (role, take, incidence) in enumerate(images):
         if all(session.has(role, take, incidence, k) for k in range(len(plan.exposures_s))):
@@ -309,9 +310,10 @@ def _images(
         theta_i = np.radians(plan.theta_i_deg[incidence])
         signal = np.zeros(len(rays.pixel))
         if role != "background":
-            lit = imaging.lit_weights(rig, rays, theta_i, threads=threads)
+            lit = imaging.lit_weights(rig, rays, theta_i)
             if role == "standard":
-                f, rho = _standard_brdf(rig, rays, lit, draws.standard_scale)
+                f = draws.standard_scale * np.einsum("ij,ij->i", lit, f_standard)
+                rho = draws.standard_scale * rig.standard.reflectance
             else:
                 psi = np.radians(plan.rotations_deg[take])
                 if turned[0] != psi:
@@ -326,18 +328,9 @@ def _images(
                     rho = imaging.albedo(surface.model, surface.p, centre / np.linalg.norm(centre))
             gain = 1 + rig.surroundings.multibounce * rho
             signal = white * np.cos(theta_i) * np.pi * f * gain
-        signal += imaging.stray_rate(rig, rays, theta_i, threads=threads)
+        signal += imaging.stray_rate(rig, rays, theta_i)
         signal *= draws.lamp[number]
         signal += rig.surroundings.ambient * white
         rate = np.zeros(rig.sensor.shape)
         rate.ravel()[rays.pixel] = np.maximum(signal, 0.0)
         yield number, (role, take, incidence), (rate.ravel() * response).reshape(rate.shape), draws
-
-
-def _standard_brdf(
-    rig: Instrument, rays: Any, lit: FloatArray, scale: float
-) -> tuple[FloatArray, float]:
-    """The standard's f averaged over each pixel's rays, and its albedo."""
-    theta_r = np.arccos(np.clip(rays.w_r[..., 2], 0, 1))
-    f = scale * np.sum(lit * rig.standard.brdf(theta_r), axis=1)
-    return f, scale * rig.standard.reflectance

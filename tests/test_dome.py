@@ -4,13 +4,13 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq, root
+
 from gonio.calibration.reflector import (
     camera_angles,
     mapping_error,
     reflected_angles,
 )
-from scipy.optimize import brentq, root
-
 from gonio.geometry import angles, hemisphere_quadrature, unit_vectors
 from gonio.instrument import Dome
 

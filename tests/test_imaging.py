@@ -207,6 +207,25 @@ class TestPlaces:
         assert np.all(imaging.lit_weights(rig, rays, 0.0) == 0)
 
 
+class TestShortCuts:
+    """Pixels that cannot be concerned are left out; that must not change a number."""
+
+    @pytest.mark.parametrize("name", ["modern12", "lbl1992"])
+    @pytest.mark.parametrize("theta_i", [0.0, 0.8, 1.2])
+    def test_equal_a_look_at_every_ray(self, name, theta_i):
+        rig = small(name)
+        rays = imaging.trace_rays(rig, 1)
+        x, y = rays.landing[..., 0], rays.landing[..., 1]
+        lands = (x**2 + y**2 <= (rig.holder.sample_diameter_mm / 2) ** 2) & (rays.w_r[..., 2] > 0)
+        expected = rig.lamp.lit(theta_i, x, y) * lands / rays.w_r.shape[1]
+        np.testing.assert_array_equal(imaging.lit_weights(rig, rays, theta_i), expected)
+        patch = np.arctan(rig.lamp.lit_diameter_mm / 2 / rig.dome.R)
+        inside = np.mean(rays.w_r @ unit_vectors(theta_i, 0.0) > np.cos(patch), axis=1)
+        share = rig.surroundings.stray + rig.surroundings.entry_patch * inside
+        rate = imaging.stray_rate(rig, rays, theta_i)
+        np.testing.assert_allclose(rate, share * imaging.white_rate(rig, rays), rtol=1e-13)
+
+
 class TestTracedRays:
     def test_do_not_depend_on_threads(self):
         rig = small("modern12")

@@ -57,13 +57,16 @@ class TestLoops:
     def test_batch_chi2_equals_the_explicit_sum(self):
         w_i, w_r = directions(4, 30), directions(5, 30, theta_max=1.8)
         rng = np.random.default_rng(6)
-        factor, value = rng.uniform(0.5, 1.5, 30), rng.uniform(0, 1, 30)
+        factor, value = rng.uniform(0.5, 1.5, (30, 5)), rng.uniform(0, 1, 30)
         inverse_variance = rng.uniform(1, 100, 30)
         batch = P * rng.uniform(0.8, 1.2, (5, 4))
         out = np.empty(5)
-        MODEL.loops.batch_chi2(w_i, w_r, factor, value, inverse_variance, batch, out)
+        MODEL.loops.batch_chi2(w_i, w_r, factor, P, value, inverse_variance, batch, out)
+        # The cells' factors are linear in the parameters about a mode, here P.
+        cell = [factor[:, 0] + factor[:, 1:] @ (p - P) for p in batch]
         expected = [
-            np.sum((value - factor * f(w_i, w_r, p)[:, 0]) ** 2 * inverse_variance) for p in batch
+            np.sum((value - c * f(w_i, w_r, p)[:, 0]) ** 2 * inverse_variance)
+            for c, p in zip(cell, batch, strict=True)
         ]
         np.testing.assert_allclose(out, expected, rtol=1e-13)
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from gonio.calibration.lens import camera_angles
 
+from gonio.calibration.lens import camera_angles
 from gonio.instrument import Lens
 from gonio.session import LensCalibration
 

@@ -97,7 +97,9 @@ def command(
     if output is not None:
         _check_target(output)
     samples = _read(source, _pairs(selections), threads)
-    radians = [None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)]
+    radians = [
+        None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
+    ]
     samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
     _one_channel(source, samples)
     known = _truth(source if truth is None else truth, model, asked=truth is not None)

@@ -66,6 +66,10 @@ class Rays:
         Where each ray meets the sample plane, mm from the target.
     source : ndarray, shape (rays, 2)
         Each ray's place in the source, unit disc.
+    spread : float
+        Largest angle between the first and another ray of one pixel, radians.
+    reach : ndarray, shape (n,)
+        Largest distance from the target at which a ray of the pixel lands, mm.
     """
 
     pixel: NDArray[np.int64]
@@ -73,6 +77,8 @@ class Rays:
     w_r: FloatArray
     landing: FloatArray
     source: FloatArray
+    spread: float
+    reach: FloatArray
 
 
 def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None) -> Rays:
@@ -96,6 +102,7 @@ def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None)
     points = np.stack([columns[pixel], rows[pixel]], -1)[:, None, :] + in_pixel * pitch
     w_r = np.empty((len(pixel), len(in_pixel), 3))
     landing = np.empty((len(pixel), len(in_pixel), 2))
+    chord, reach = np.empty(len(pixel)), np.empty(len(pixel))
 
     def work(start: int, stop: int) -> None:
         origin, direction = _through_lens(instrument, points[start:stop], in_pupil)
@@ -103,12 +110,17 @@ def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None)
         slope = None
         if dome.slope_error_deg or dome.rim_slope_error_deg:
             slope = dome.slope_errors(meets, np.random.default_rng(seed))
-        w_r[start:stop], landing[start:stop] = dome.reflect(meets, direction, slope)
+        w, at = dome.reflect(meets, direction, slope)
+        w_r[start:stop], landing[start:stop] = w, at
+        apart = w - w[:, :1]
+        chord[start:stop] = np.sqrt(np.einsum("...i,...i->...", apart, apart).max(axis=1))
+        reach[start:stop] = np.sqrt(np.einsum("...i,...i->...", at, at).max(axis=1))
 
     map_blocks(work, len(pixel), threads=threads, block=_BLOCK)
     theta_c = theta_c[pixel]
     throughput = lens.relative_illumination(theta_c) * lens.solid_angle(theta_c)
-    return Rays(pixel, throughput, w_r, landing, in_source)
+    spread = 2 * float(np.arcsin(min(chord.max() / 2, 1.0)))
+    return Rays(pixel, throughput, w_r, landing, in_source, spread, reach)
 
 
 def _through_lens(
@@ -136,21 +148,18 @@ def _through_lens(
     return centre + offset, direction
 
 
-def lit_weights(
-    instrument: Instrument, rays: Rays, theta_i: float, *, threads: int | None = None
-) -> FloatArray:
+def lit_weights(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
     """Share of each ray (n, rays) in its pixel: 1/rays where it lands on lit sample, else 0."""
-    n, per_pixel = rays.w_r.shape[:2]
+    lamp, per_pixel = instrument.lamp, rays.w_r.shape[1]
     radius = instrument.holder.sample_diameter_mm / 2
-    out = np.empty((n, per_pixel))
-
-    def work(start: int, stop: int) -> None:
-        x, y = rays.landing[start:stop, :, 0], rays.landing[start:stop, :, 1]
-        lands = (x * x + y * y <= radius**2) & (rays.w_r[start:stop, :, 2] > 0)
-        out[start:stop] = instrument.lamp.lit(theta_i, x, y) * lands / per_pixel
-
-    map_blocks(work, n, threads=threads, block=_BLOCK)
-    return out
+    share = np.full(rays.w_r.shape[:2], 1 / per_pixel)
+    # The footprint holds the beam's own disc at every incidence: only pixels that reach out of
+    # it need a closer look.
+    doubtful = np.flatnonzero(rays.reach > 0.999 * min(radius, lamp.lit_diameter_mm / 2))
+    x, y = rays.landing[doubtful, :, 0], rays.landing[doubtful, :, 1]
+    lands = (x * x + y * y <= radius**2) & (rays.w_r[doubtful, :, 2] > 0)
+    share[doubtful] *= lamp.lit(theta_i, x, y) * lands
+    return share
 
 
 def white_rate(instrument: Instrument, rays: Rays) -> FloatArray:
@@ -206,22 +215,22 @@ def _hemisphere() -> tuple[FloatArray, FloatArray]:
     return unit_vectors(theta, phi), np.cos(theta) * weight
 
 
-def stray_rate(
-    instrument: Instrument, rays: Rays, theta_i: float, *, threads: int | None = None
-) -> FloatArray:
+def stray_rate(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
     """Lamp light, e-/s, that reaches each pixel (n,) without the sample's help."""
     surroundings = instrument.surroundings
     w_lamp = unit_vectors(theta_i, 0.0)
-    edge = np.cos(np.arctan(instrument.lamp.lit_diameter_mm / 2 / instrument.dome.R))
-    in_patch = np.empty(len(rays.w_r))
-
-    def work(start: int, stop: int) -> None:
-        towards_lamp = np.einsum("...i,i->...", rays.w_r[start:stop], w_lamp)
-        in_patch[start:stop] = np.mean(towards_lamp > edge, axis=1)
-
-    map_blocks(work, len(in_patch), threads=threads, block=_BLOCK)
-    share = surroundings.stray + surroundings.entry_patch * in_patch
+    patch = np.arctan(instrument.lamp.lit_diameter_mm / 2 / instrument.dome.R)
+    share = np.full(len(rays.w_r), surroundings.stray)
+    near = np.flatnonzero(rays.w_r[:, 0] @ w_lamp > np.cos(min(patch + rays.spread, np.pi)))
+    inside = np.einsum("...i,i->...", rays.w_r[near], w_lamp) > np.cos(patch)
+    share[near] += surroundings.entry_patch * np.mean(inside, axis=1)
     return np.asarray(share * white_rate(instrument, rays))
+
+
+def standard_brdf(instrument: Instrument, rays: Rays) -> FloatArray:
+    """f of the white standard for every ray (n, rays), sr^-1."""
+    theta_r = np.arccos(np.clip(rays.w_r[..., 2], 0, 1))
+    return instrument.standard.brdf(theta_r)
 
 
 def in_sample_frame(rays: Rays, psi: float) -> FloatArray:

@@ -62,7 +62,7 @@ def cell_gradient(w_i, w_r, weight, offsets, first, p, out, gradient):
         out[k] = total
 
 
-def batch_chi2(w_i, w_r, factor, mode, value, inverse_variance, batch, out):  # type: ignore[no-untyped-def]
+def batch_chi2(w_i, w_r, factor, mode, value, inverse_variance, batch, out):
     """Sum of squared weighted residuals for each parameter vector of a batch.
 
     One direction a sample; factor[k, 0] + factor[k, 1:] (p - mode) turns f there into f integrated

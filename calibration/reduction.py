@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from gonio.calibration import cells, lens, reflector, standard
-from gonio.calibration.exposure import Rate, average, merge
 from numpy.typing import ArrayLike, NDArray
 
+from gonio.calibration import cells, lens, reflector, standard
+from gonio.calibration.exposure import Rate, average, merge
 from gonio.errors import DataError
 from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated, unit_vectors
 from gonio.kernels.threads import default_threads

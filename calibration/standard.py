@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from gonio.calibration.exposure import Rate
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from gonio.calibration.exposure import Rate
 from gonio.geometry import FloatArray
 from gonio.session import Certificate
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
 
 from gonio import __version__
+from gonio.errors import DataError
 from gonio.fitting import optimise, uncertainty
 from gonio.fitting.optimise import Optimum
 from gonio.fitting.problem import Problem, Weights
@@ -22,9 +24,9 @@ from gonio.models import Model, Parameter
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
 
-NEAR_BOUND = 1e-9  # of the range: at a bound
 MISFIT = 1.5  # chi2/dof above which the model, not the noise, decides the residuals
-SAME_CHI2 = 1e-6  # relative agreement of two minima
+LEVELS = (0.6826895, 0.95)  # of the intervals
+CHI2_95 = 3.841459  # 95 % quantile of chi-squared with one degree of freedom
 
 Progress = Callable[[int, int], None]
 
@@ -52,14 +54,14 @@ def fit(
     weights : {"sd", "none", "cos", "coscos"}, optional
         What residuals are multiplied by; "sd" where the samples have uncertainties.
     start : mapping, optional
-        Starting values (radians for angles) in place of those that the data suggest; only the
-        minimum that lies below them is looked for.
+        Starting values (radians for angles) in place of those that the data suggest. Where they
+        lead to a bound or to no verified minimum, the data are asked after all.
     posterior : bool
         Sample the posterior with emcee; its quantiles become the intervals.
     draws : path, optional
         Where to write the draws (netCDF, group "posterior").
     seed : int
-        Seed of the start's subset and of the sampler.
+        Seed of the sampler, the only random step.
     threads : int, optional
         The result does not depend on it.
     cuts : mapping, optional
@@ -77,7 +79,8 @@ def fit(
     ConfigurationError
         For an unknown model, weights or starting value.
     DataError
-        If there are not more samples than parameters.
+        If there are not more samples than parameters, or a posterior is asked for where there
+        is no noise.
 
     Notes
     -----
@@ -94,20 +97,27 @@ def fit(
     """
     chosen = get_model(model) if isinstance(model, str) else model
     problem = Problem.from_samples(samples, chosen, weights, threads)
-    rng = np.random.default_rng(seed)
-    problem, optimum, agreed = _find(problem, start, rng)
+    problem, optimum, doubts = _find(problem, start)
+    faults = optimise.gradient_faults(problem, optimum.p)
     chi2, dof, scale = _goodness(problem, optimum)
     errors = uncertainty.evaluate(problem, optimum, scale)
-    warnings = _warnings(problem, optimum, errors, chi2, dof, agreed)
-    estimates, bound_warnings = _estimates(problem, optimum, errors, scale, dof)
+    errors, undetected = _without_undetected(problem, optimum, errors)
+    warnings = _warnings(problem, optimum, errors, chi2, dof, faults) + doubts + undetected
+    estimates, bound_warnings = _estimates(problem, optimum, errors, dof)
     warnings += bound_warnings
     summary = None
     if posterior:
         from gonio.fitting import posterior as sampler
 
+        if scale == 0:
+            raise DataError(
+                "the model leaves no residuals and the samples state no uncertainty: there is no "
+                "noise to sample a posterior with; give u_brdf or fit without a posterior."
+            )
+
         chain = sampler.sample(problem, optimum, errors, seed=seed, progress=progress)
         summary = chain.summary(None if draws is None else str(draws))
-        estimates = _with_quantiles(chosen, estimates, errors.determined, chain.draws)
+        estimates = _with_quantiles(chosen, estimates, chain.draws)
         if draws is not None:
             chain.save(Path(draws), chosen)
         if not chain.converged:
@@ -118,7 +128,7 @@ def fit(
         warnings += chain.warnings
     return FitResult(
         model=chosen.name,
-        status="converged" if optimum.verified and agreed else "not_converged",
+        status="converged" if optimum.verified and not faults else "not_converged",
         parameters=estimates,
         covariance=_covariance(chosen.parameters, errors),
         chi2=chi2,
@@ -144,29 +154,96 @@ def fit(
 
 
 def _find(
-    problem: Problem, start: Mapping[str, float] | None, rng: np.random.Generator
-) -> tuple[Problem, Optimum, bool]:
-    """The minimum, the weights it was found with, and whether a second start agrees."""
-    model = problem.model
+    problem: Problem, start: Mapping[str, float] | None
+) -> tuple[Problem, Optimum, list[str]]:
+    """The deepest minimum found, the problem with its weights, and what to know about it."""
     if start is not None:
-        candidates = [model.vector(start)]
+        candidates = [problem.model.vector(start)]
     else:
         candidates = optimise.starts(problem)
-    # Weights from the model's values need the model first: two rounds settle them.
-    optimum = optimise.minimise(problem, candidates[0])
-    for _ in range(2):
-        if problem.weights != "sd" or problem.samples.noise_slope is None:
-            break
-        problem = problem.reweighted(optimum.p)
-        optimum = optimise.minimise(problem, optimum.p)
-    agreed = True
+    problem, optimum = _settled(problem, optimise.minimise(problem, candidates[0]))
+    doubts = []
     for candidate in candidates[1:]:
         other = optimise.minimise(problem, candidate)
-        if other.chi2 < optimum.chi2 * (1 - SAME_CHI2):
-            optimum = other
-        # A second start may end in another valley; what counts is that none is deeper.
-        agreed = agreed and optimum.verified
-    return problem, optimum, agreed
+        deepest = optimise.better(optimum, other)
+        if deepest is optimum:
+            doubts += _rival(problem, optimum, other)
+        else:
+            doubts += _rival(problem, other, optimum)
+            problem, optimum = _settled(problem, other)
+    if not optimum.verified:
+        optimum, told = _without_spikes(problem, optimum)
+        doubts = told or doubts
+    return problem, optimum, doubts
+
+
+def _settled(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
+    """Weights from the model's values need the model first: two rounds settle them."""
+    if problem.weights == "sd" and problem.samples.noise_slope is not None:
+        for _ in range(2):
+            problem = problem.reweighted(optimum.p)
+            optimum = optimise.minimise(problem, optimum.p)
+    return problem, optimum
+
+
+def _rival(problem: Problem, optimum: Optimum, other: Optimum) -> list[str]:
+    """A warning where another minimum, far from the deepest, fits almost as well."""
+    noise = _goodness(problem, optimum)[2]
+    step = other.p - optimum.p
+    apart = float(step @ optimum.curvature @ step) > 25 * noise**2
+    apart = apart and bool(np.all(np.diag(optimum.curvature) > 0))
+    if not (apart and other.verified and other.chi2 - optimum.chi2 < CHI2_95 * noise**2):
+        return []
+    place = ", ".join(
+        f"{q.name} = {q.to_file(float(v)):.4g}"
+        for q, v in zip(problem.model.parameters, other.p, strict=True)
+    )
+    return [f"the data hardly prefer this minimum to another one at {place}."]
+
+
+def _without_spikes(problem: Problem, optimum: Optimum) -> tuple[Optimum, list[str]]:
+    """The fit without a lobe that only follows single noisy samples.
+
+    The largest of N squared normal deviates is about 2 ln N; a lobe narrow enough to meet one
+    sample alone lowers chi-squared by as much, in a valley without a bottom.
+    """
+    noise = max(_goodness(problem, optimum)[2], 1e-300)
+    expected = 2 * np.log(problem.n)
+    for j, q in enumerate(problem.model.parameters):
+        if not (q.linear and optimum.free[j]):
+            continue
+        null = optimise.at_lower(problem, optimum, j)
+        gain = (null.chi2 - optimum.chi2) / noise**2
+        if null.verified and gain < expected:
+            return null, [
+                f"{q.name} was set to its bound: with it the fit only followed the noise of "
+                f"single samples (chi2 smaller by {gain:.2g}; noise alone gives up to about "
+                f"{expected:.2g})."
+            ]
+    return optimum, []
+
+
+def _without_undetected(
+    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty
+) -> tuple[uncertainty.Uncertainty, list[str]]:
+    """Parameters of a lobe whose amplitude may be zero have no uncertainty."""
+    determined = errors.determined.copy()
+    warnings = []
+    for j, q in enumerate(problem.model.parameters):
+        sd = np.sqrt(errors.covariance[j, j])
+        if not (q.linear and errors.determined[j] and optimum.p[j] - q.lower < 4 * sd):
+            continue
+        null = optimise.at_lower(problem, optimum, j)
+        lost = (np.diag(null.curvature) <= 0) & determined
+        gain = max(null.chi2 - optimum.chi2, 0.0) / max(errors.noise_scale, 1e-300) ** 2
+        if gain < CHI2_95 and lost.any():
+            names = [r.name for k, r in enumerate(problem.model.parameters) if lost[k]]
+            determined[lost] = False
+            warnings.append(
+                f"{q.name} may as well be {q.to_file(q.lower):.4g} (chi2 grows by {gain:.2g}): "
+                f"{' and '.join(names)} would then mean nothing."
+            )
+    return replace(errors, determined=determined), warnings
 
 
 def _goodness(problem: Problem, optimum: Optimum) -> tuple[float, int, float]:
@@ -186,103 +263,114 @@ def _goodness(problem: Problem, optimum: Optimum) -> tuple[float, int, float]:
 
 
 def _estimates(
-    problem: Problem,
-    optimum: Optimum,
-    errors: uncertainty.Uncertainty,
-    scale: float,
-    dof: int,
+    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty, dof: int
 ) -> tuple[dict[str, Estimate], list[str]]:
     """Every parameter with its standard uncertainty and intervals, in file units."""
     # Where the scatter stands for the noise, few degrees of freedom widen the intervals.
     known_noise = problem.weights == "sd"
     quantiles = [
-        float(stats.norm.ppf(q) if known_noise else stats.t.ppf(q, dof)) for q in (0.8413447, 0.975)
+        float(stats.norm.ppf(q) if known_noise else stats.t.ppf(q, dof))
+        for q in ((1 + level) / 2 for level in LEVELS)
     ]
-    covariance = errors.covariance
     estimates, warnings = {}, []
     for j, q in enumerate(problem.model.parameters):
         value = float(optimum.p[j])
-        bound = _bound(q, value)
-        if bound is not None:
-            estimates[q.name], text = _at_bound(problem, optimum, j, bound, scale)
+        if value in (q.lower, q.upper):
+            estimates[q.name], text = _at_bound(problem, optimum, j, errors.noise_scale)
             warnings.append(text)
             continue
-        stderr, intervals = None, [None, None]
-        components: dict[str, float] = {}
+        estimate = Estimate(q.to_file(value), None, q.file_unit, None, None, None)
         if errors.determined[j]:
-            stderr = float(np.sqrt(covariance[j, j]))
-            intervals = [_clipped(q, value - t * stderr, value + t * stderr) for t in quantiles]  # type: ignore[misc]
-            components = {k: _width(q, u) for k, u in errors.components(j).items()}
-            stderr = _width(q, stderr)
-        else:
+            estimate = _inside(problem, optimum, errors, j, quantiles)
+        if estimate.interval_95 is None:
             warnings.append(
                 f"{q.name} is not determined by these data: its value is arbitrary and it has no "
                 "uncertainty; measure other directions or hold the model simpler."
             )
-        estimates[q.name] = Estimate(
-            q.to_file(value), stderr, q.file_unit, None, intervals[0], intervals[1], components
-        )
+        estimates[q.name] = estimate
     return estimates, warnings
 
 
-def _at_bound(
-    problem: Problem, optimum: Optimum, j: int, bound: str, scale: float
-) -> tuple[Estimate, str]:
+def _inside(
+    problem: Problem,
+    optimum: Optimum,
+    errors: uncertainty.Uncertainty,
+    j: int,
+    quantiles: list[float],
+) -> Estimate:
+    """A parameter between its bounds.
+
+    Where an end of an interval leaves the bounds the curvature is no guide any more: that end is
+    looked for on the profile of chi-squared.
+    """
+    q = problem.model.parameters[j]
+    value = float(optimum.p[j])
+    stderr = float(np.sqrt(errors.covariance[j, j]))
+    intervals = []
+    for t in quantiles:
+        ends = []
+        for side, bound in ((-1, q.lower), (1, q.upper)):
+            end: float | None = value + side * t * stderr
+            if side * (value + side * t * stderr - bound) >= 0:
+                increase = (t * errors.noise_scale) ** 2
+                end = uncertainty.profile_limit(problem, optimum, j, increase, side=side)
+            ends.append(q.to_file(bound if end is None else end))
+        intervals.append((ends[0], ends[1]))
+    if intervals[1] == (q.to_file(q.lower), q.to_file(q.upper)):
+        return Estimate(q.to_file(value), None, q.file_unit, None, None, None)
+    components = {name: q.to_file(u) for name, u in errors.components(j).items()}
+    known = stderr < q.upper - q.lower
+    return Estimate(
+        q.to_file(value),
+        q.to_file(stderr) if known else None,
+        q.file_unit,
+        None,
+        intervals[0],
+        intervals[1],
+        components if known else {},
+    )
+
+
+def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple[Estimate, str]:
     """A parameter at its bound: one-sided limits from the profile of chi-squared, no stderr."""
     q = problem.model.parameters[j]
-    side = 1 if bound == "lower" else -1
     value = float(optimum.p[j])
-    intervals: list[tuple[float, float] | None] = []
-    for increase in (1.0, 3.841459):
-        limit = uncertainty.profile_limit(problem, optimum, j, increase * scale**2, side=side)
-        far = q.upper if side > 0 else q.lower
-        intervals.append(_clipped(q, *sorted((value, far if limit is None else limit))))
-    assert intervals[1] is not None
-    limit_95 = intervals[1][1] if side > 0 else intervals[1][0]
+    at_bound: Literal["lower", "upper"] = "lower" if value == q.lower else "upper"
+    side = 1 if at_bound == "lower" else -1
+    limits = [
+        uncertainty.profile_limit(problem, optimum, j, increase * scale**2, side=side)
+        for increase in (1.0, CHI2_95)
+    ]
+    far = q.upper if side > 0 else q.lower
+    intervals = []
+    for limit in limits:
+        low, high = sorted((value, far if limit is None else limit))
+        intervals.append((q.to_file(low), q.to_file(high)))
     unit = f" {q.file_unit}" if q.file_unit else ""
-    text = (
-        f"{q.name} is at its {bound} bound ({q.to_file(value):.4g}{unit}): the data do not support "
-        f"a value {'above' if side > 0 else 'below'} {limit_95:.3g}{unit} (95 %) and do not "
-        "determine it otherwise."
-    )
-    estimate = Estimate(
-        q.to_file(value), None, q.file_unit, "lower" if side > 0 else "upper", *intervals
-    )
-    return estimate, text
-
-
-def _bound(q: Parameter, value: float) -> str | None:
-    slack = NEAR_BOUND * (q.upper - q.lower)
-    if value <= q.lower + slack:
-        return "lower"
-    return "upper" if value >= q.upper - slack else None
-
-
-def _clipped(q: Parameter, low: float, high: float) -> tuple[float, float]:
-    return q.to_file(max(low, q.lower)), q.to_file(min(high, q.upper))
-
-
-def _width(q: Parameter, u: float) -> float:
-    """An uncertainty in the unit of files."""
-    return q.to_file(u)
+    text = f"{q.name} is at its {at_bound} bound ({q.to_file(value):.4g}{unit}): "
+    if limits[1] is None:
+        text += "the data do not limit it."
+    else:
+        text += (
+            f"the data do not support a value {'above' if side > 0 else 'below'} "
+            f"{q.to_file(limits[1]):.3g}{unit} (95 %) and do not determine it otherwise."
+        )
+    return Estimate(q.to_file(value), None, q.file_unit, at_bound, intervals[0], intervals[1]), text
 
 
 def _with_quantiles(
     model: Model,
     estimates: Mapping[str, Estimate],
-    determined: Any,
     draws: FloatArray,
 ) -> dict[str, Estimate]:
     """Intervals from the posterior's quantiles: central, or one-sided at a bound."""
-    from dataclasses import replace
-
     result = {}
     flat = draws.reshape(-1, draws.shape[-1])
     for j, q in enumerate(model.parameters):
         estimate = estimates[q.name]
         column = flat[:, j]
         intervals = []
-        for level in (0.6826895, 0.95):
+        for level in LEVELS:
             if estimate.at_bound == "lower":
                 pair = (q.lower, float(np.quantile(column, level)))
             elif estimate.at_bound == "upper":
@@ -312,13 +400,16 @@ def _warnings(
     errors: uncertainty.Uncertainty,
     chi2: float,
     dof: int,
-    agreed: bool,
+    faults: list[str],
 ) -> list[str]:
     warnings = []
     if not optimum.verified:
         warnings.append("the minimum was not reached: the next step would still change the fit.")
-    if not agreed:
-        warnings.append("two starts ended in minima that could not both be verified.")
+    warnings += [
+        f"the derivative by {name} that {problem.model.name} gives is not that of its formula: "
+        "the fit cannot be trusted until the model's kernel is mended."
+        for name in faults
+    ]
     if problem.weights == "sd" and chi2 / dof > MISFIT:
         warnings.append(
             f"chi2/dof is {chi2 / dof:.3g}: the model or effects it does not hold, not the noise, "

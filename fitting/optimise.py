@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ UNDETERMINED = 1e-10  # smallest eigenvalue of the scaled curvature that counts 
 STOP = 1e-5  # the polish ends where its next step is this part of the uncertainty
 VERIFIED = 1e-3  # a minimum is verified where it is this part
 ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
+NEAR_BOUND = 1e-6  # of the range: near enough to a bound to be put on it
 DEEPER = 1e-9  # relative difference of chi-squared that is not rounding
 SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient
 
@@ -37,7 +38,7 @@ class Optimum:
     gradient, curvature : ndarray
         J^T W r and J^T W J at p.
     free : ndarray of bool
-        Parameters that are not held by a bound.
+        Parameters that do not lie on a bound.
     evaluations : int
         Model passes over the data.
     verified : bool
@@ -133,6 +134,23 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
     return faulty
 
 
+def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
+    """The minimum with parameter j on its lower bound; verified as one of the other parameters."""
+    q = problem.model.parameters[j]
+    pinned = minimise(pinned_at(problem, j, q.lower), optimum.p, search=False)
+    p = np.where(np.arange(len(optimum.p)) == j, q.lower, pinned.p)
+    chi2, g, h = problem.normal_equations(p)
+    free = pinned.free & (np.arange(len(p)) != j)
+    return Optimum(p, chi2, g, h, free, pinned.evaluations, pinned.verified)
+
+
+def pinned_at(problem: Problem, j: int, value: float) -> Problem:
+    """The problem with parameter j held at a value."""
+    parameters = list(problem.model.parameters)
+    parameters[j] = replace(parameters[j], lower=value, upper=value, scale="linear", linear=False)
+    return replace(problem, model=replace(problem.model, parameters=tuple(parameters)))
+
+
 def _followed(problem: Problem, start: FloatArray, evaluations: int = 0) -> Optimum:
     _, p = _linear_solved(problem, start)
     p, n = _slsqp(problem, p)
@@ -198,7 +216,8 @@ class _Scale:
         return np.where(self.log, np.log(np.where(self.log, p, 1.0)), p)
 
     def to(self, p: FloatArray) -> FloatArray:
-        return np.clip((self._internal(p) - self.low) / self.span, 0.0, 1.0)
+        width = np.where(self.span > 0, self.span, 1.0)  # none where a parameter is held
+        return np.clip((self._internal(p) - self.low) / width, 0.0, 1.0)
 
     def back(self, x: FloatArray) -> FloatArray:
         y = self.low + x * self.span
@@ -252,9 +271,9 @@ def _polish(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
         deeper, n = _deeper_nearby(problem, optimum)
         evaluations = optimum.evaluations + n
         if deeper is None:
-            return Optimum(**{**vars(optimum), "evaluations": evaluations})
+            return replace(optimum, evaluations=evaluations)
         p = deeper
-    return Optimum(**{**vars(optimum), "evaluations": evaluations, "verified": False})
+    return replace(optimum, evaluations=evaluations, verified=False)
 
 
 def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
@@ -268,9 +287,8 @@ def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
     damping = 1e-3
     for _ in range(POLISH_STEPS):
         free = _free(p, g, lower, upper)
-        if _distance(problem, chi2, g, h, free) <= max(
-            STOP, ROUNDING * size / _noise(problem, chi2)
-        ):
+        stop = max(STOP, ROUNDING * size / _noise(problem, chi2))
+        if _distance(problem, chi2, g, h, free) <= stop:
             break
         trial = np.clip(p + _solve(h, g, free, damping), lower, upper)
         new = problem.normal_equations(trial)
@@ -285,10 +303,27 @@ def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
             damping *= 10
             if damping > 1e10:
                 break  # no step goes down: rounding limits the sum of squares
+    p, chi2, g, h = _snapped(problem, p, chi2, g, h)
     free = _free(p, g, lower, upper)
     limit = max(VERIFIED, 1e2 * ROUNDING * size / _noise(problem, chi2))
     verified = bool(_distance(problem, chi2, g, h, free) <= limit)
-    return Optimum(p, chi2, g, h, free, evaluations, verified)
+    return Optimum(p, chi2, g, h, (p > lower) & (p < upper), evaluations, verified)
+
+
+def _snapped(
+    problem: Problem, p: FloatArray, chi2: float, g: FloatArray, h: FloatArray
+) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+    """Parameters a hair from a bound are put on it where chi2 does not mind."""
+    size = np.sum(problem.samples.value**2 * problem.inverse_variance)
+    for j, q in enumerate(problem.model.parameters):
+        hair = NEAR_BOUND * (q.upper - q.lower)
+        for bound in (q.lower, q.upper):
+            if 0 < abs(p[j] - bound) <= hair:
+                trial = np.where(np.arange(len(p)) == j, bound, p)
+                new = problem.normal_equations(trial)
+                if new[0] <= chi2 * (1 + DEEPER) + ROUNDING**2 * size:
+                    p, (chi2, g, h) = trial, new
+    return p, chi2, g, h
 
 
 def _free(p: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> NDArray[np.bool_]:
@@ -305,7 +340,8 @@ def _distance(
     problem: Problem, chi2: float, g: FloatArray, h: FloatArray, free: NDArray[np.bool_]
 ) -> float:
     """Length of the next Gauss-Newton step in units of the uncertainty in its direction."""
-    return float(np.sqrt(max(g @ _solve(h, g, free, 0.0), 0.0))) / _noise(problem, chi2)
+    decrease = float(g @ _solve(h, g, free, 0.0))
+    return float(np.sqrt(max(decrease, 0.0))) / _noise(problem, chi2)
 
 
 def _deeper_nearby(problem: Problem, optimum: Optimum) -> tuple[FloatArray | None, int]:
@@ -323,7 +359,7 @@ def _deeper_nearby(problem: Problem, optimum: Optimum) -> tuple[FloatArray | Non
         optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
     )
     tried = 0
-    best = (optimum.chi2 * (1 - DEEPER), None)
+    best: tuple[float, FloatArray | None] = (optimum.chi2 * (1 - DEEPER), None)
     for value, vector in zip(values, vectors.T, strict=True):
         if value < UNDETERMINED:
             continue

@@ -27,8 +27,8 @@ class Estimate:
     unit : str
     at_bound : {"lower", "upper"} or None
     interval_68, interval_95 : tuple of float or None
-        Posterior quantiles where there is a posterior; else from the standard uncertainty, or at
-        a bound the range in which chi-squared grows by 1 and by 3.84.
+        Posterior quantiles where there is a posterior; else from the standard uncertainty, or
+        towards and at a bound from the growth of chi-squared by 1 and by 3.84.
     components : mapping of str to float
         Standard uncertainty by source: "independent" and the shared terms by name.
     """
@@ -78,8 +78,10 @@ class FitResult:
     ----------
     model : str
     status : {"converged", "not_converged"}
-        "converged" only when the optimum passed its checks: the step to the minimum is far below
-        the uncertainties, the curvature is positive, and a second start gave the same minimum.
+        "converged" only when the optimum passed its checks: the next step is far below the
+        uncertainties, chi-squared grows along every axis of the uncertainty ellipsoid, and the
+        model's derivatives agree with difference quotients. It is the deepest of the minima
+        that were found from several starts.
     parameters : mapping of str to Estimate
     covariance : list of lists, or None
         In the order of `parameters`, file units, shared terms included; None where a parameter
@@ -161,7 +163,7 @@ class FitResult:
             return cls(**data)
         except FileNotFoundError:
             raise DataError(
-                f"{path}: no such file; give a fit that 'gonio fit -o' wrote."
+                f"{path}: no such file; give a fit that 'gonio fit -o' wrote.", value=path
             ) from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataError(

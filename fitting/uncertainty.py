@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.optimise import UNDETERMINED, Optimum, minimise
+from gonio.fitting.optimise import UNDETERMINED, Optimum, minimise, pinned_at
 from gonio.fitting.problem import Problem
 from gonio.geometry import FloatArray
 from gonio.samples import SharedTerm
@@ -145,7 +144,7 @@ def profile_limit(
     side: int,
     steps: int = 40,
 ) -> float | None:
-    """How far parameter j can move from its bound before chi-squared grows by `increase`.
+    """How far parameter j can move before the minimum of chi-squared grows by `increase`.
 
     The other parameters follow to their minimum at each value. None where chi-squared never
     grows so much inside the bounds: the data do not limit the parameter.
@@ -153,16 +152,15 @@ def profile_limit(
     Parameters
     ----------
     side : {1, -1}
-        +1 from the lower bound upwards, -1 from the upper bound downwards.
+        +1 upwards, -1 downwards.
     """
     parameter = problem.model.parameters[j]
-    far = parameter.upper if side > 0 else parameter.lower
-    near = float(optimum.p[j])
+    near, far = float(optimum.p[j]), parameter.upper if side > 0 else parameter.lower
 
     def excess(value: float) -> float:
-        held = _held(problem, j, value)
-        start = np.delete(optimum.p, j)
-        return held(start) - optimum.chi2 - increase
+        start = np.where(np.arange(len(optimum.p)) == j, value, optimum.p)
+        held = minimise(pinned_at(problem, j, value), start, search=False)
+        return held.chi2 - optimum.chi2 - increase
 
     if excess(far) <= 0:
         return None
@@ -176,32 +174,3 @@ def profile_limit(
         if abs(high - low) <= 1e-3 * abs(high - near):
             break
     return (low + high) / 2
-
-
-def _held(problem: Problem, j: int, value: float) -> Callable[[FloatArray], float]:
-    """Minimum of chi-squared over the other parameters with parameter j at `value`."""
-    parameters = problem.model.parameters
-    if len(parameters) == 1:
-        return lambda start: problem.chi2(np.array([value]))
-    pinned = replace(
-        problem.model,
-        parameters=tuple(
-            # A parameter of no width cannot be scaled: give it the smallest that arithmetic sees.
-            replace(
-                q,
-                lower=value,
-                upper=np.nextafter(value, np.inf),
-                scale="linear",
-                linear=False,
-            )
-            if k == j
-            else q
-            for k, q in enumerate(parameters)
-        ),
-    )
-
-    def minimum(start: FloatArray) -> float:
-        p = np.insert(start, j, value)
-        return minimise(replace(problem, model=pinned), p, search=False).chi2
-
-    return minimum

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from gonio.calibration.exposure import Rate, average, merge
 
+from gonio.calibration.exposure import Rate, average, merge
 from gonio.session import Camera
 
 TIMES = (0.25e-3, 1e-3, 4e-3, 16e-3, 64e-3, 256e-3)

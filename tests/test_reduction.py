@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gonio.calibration.reflector import camera_angles, solid_angle_ratio
 
 import gonio
 from gonio import models
+from gonio.calibration.reflector import camera_angles, solid_angle_ratio
 from gonio.errors import DataError
 from gonio.geometry import unit_vectors
 from gonio.instrument import Instrument, preset

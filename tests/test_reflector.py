@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+
 from gonio.calibration.reflector import (
     camera_angles,
     mapping_error,
     reflected_angles,
     solid_angle_ratio,
 )
-
 from gonio.errors import ConfigurationError
 from gonio.geometry import angles, hemisphere_quadrature, unit_vectors
 from gonio.instrument import Dome

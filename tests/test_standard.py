@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from gonio.calibration.exposure import Rate
-from gonio.calibration.standard import brdf, reference, standard_brdf, variances
 
 from gonio import models
+from gonio.calibration.exposure import Rate
+from gonio.calibration.standard import brdf, reference, standard_brdf, variances
 from gonio.instrument import Instrument, imaging, preset
 from gonio.session import Certificate
 

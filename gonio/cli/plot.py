@@ -46,6 +46,7 @@ def command(source: Path, output: Path | None) -> None:
         figure = summary(fit, samples, session, draws)
     else:
         samples, session = _measured(source, source, {})
+        samples = _one_channel(source, samples)
         figure = summary(None, samples, session)
     save(figure, output)
     click.echo(f"written to {output}", err=True)
@@ -126,6 +127,19 @@ def _session(path: Path, source: Path, samples: BRDFSamples) -> Session | None:
         _left_out(f"the session {name} is not there: its frames are")
         return None
     return Session.open(found)
+
+
+def _one_channel(source: Path, samples: BRDFSamples) -> BRDFSamples:
+    """One BRDF at a time: of several wavelengths or channels the middle one, and says which."""
+    from gonio import formats
+
+    for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
+        values = [] if column is None else sorted(set(column.tolist()))
+        if len(values) > 1:
+            middle = str(values[len(values) // 2])
+            click.echo(f"{source} holds {len(values)} {key}s: drawn is {key} {middle}.", err=True)
+            samples = formats.choose(samples, {key: middle})
+    return samples
 
 
 def _draws(source: Path, fit: FitResult) -> Path | None:

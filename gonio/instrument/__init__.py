@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
@@ -47,7 +47,9 @@ class Instrument(Part):
     description: str = ""
     usable_theta_r_deg: float = Field(gt=0, le=90, description="rim mask of the reduction")
     theta_i_max_deg: float = Field(default=75.0, gt=0, lt=90, description="reach of the lamp arm")
-    rays_per_pixel: int = Field(default=16, ge=1, le=1024)
+    rays_per_pixel: Literal[1, 8, 16, 32, 64, 128, 256] = Field(
+        default=16, description="rays traced for each pixel, pupil and source; 1 is the chief ray"
+    )
     lamp: Lamp
     holder: Holder
     dome: Dome

@@ -170,6 +170,7 @@ def _circles(ax: Axes, metadata: Metadata, *, symbol: bool) -> None:
         ax.annotate(
             f"{prefix}{circle:g}°", (float(x), float(y)), (0, 2), textcoords="offset points",
             ha="center", va="bottom", fontsize=7, color=ORANGE,
+            bbox={"facecolor": "black", "alpha": 0.55, "pad": 0.8, "linewidth": 0},
         )  # fmt: skip
 
 

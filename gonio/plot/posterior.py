@@ -12,6 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import blended_transform_factory
 from scipy.ndimage import gaussian_filter
 
 from gonio import models
@@ -73,6 +74,7 @@ def corner(
                 _pair(axes[column], columns[column], columns[row], limits[column], limits[row])
             _histogram(axes[row], columns[row], limits[row])
         _finish(triangle, parameters, limits, truth)
+        _name_axes(figure, triangle, parameters)
         known = any(q.name in truth for q in parameters)
         _explain(figure, known=known, pairs=n > 1)
     return triangle
@@ -101,8 +103,7 @@ def _limits(column: FloatArray, true: float | None) -> tuple[float, float]:
 
 def _triangle(figure: Figure | SubFigure, n: int) -> list[list[Axes]]:
     """Axes of equal size, whatever their tick labels, with margins in inches."""
-    scale = figure.figure.dpi if isinstance(figure, SubFigure) else figure.dpi
-    width, height = figure.bbox.width / scale, figure.bbox.height / scale
+    width, height = _inches(figure)
     left, right, bottom, top = MARGINS
     step_x, step_y = (width - left - right) / n, (height - bottom - top) / n
     boxes = [
@@ -189,10 +190,27 @@ def _finish(
                 ax.spines["left"].set_visible(False)
             _true_lines(ax, truth, parameters[column], parameters[row], column < row)
             ax.tick_params(labelbottom=row == last, labelleft=column == 0 and row > 0)
-            if row == last:
-                ax.set_xlabel(symbol(parameters[column], unit=True), fontsize=10)
-            if column == 0 and row > 0:
-                ax.set_ylabel(symbol(parameters[row], unit=True), fontsize=10)
+
+
+def _name_axes(
+    figure: Figure | SubFigure, triangle: list[list[Axes]], parameters: list[Parameter]
+) -> None:
+    """Symbols in one line below and in one line at the left, however long the numbers are."""
+    width, height = _inches(figure)
+    below, left = 0.24 / height, 0.16 / width
+    for ax, q in zip(triangle[-1], parameters, strict=True):
+        ax.set_xlabel(symbol(q, unit=True), fontsize=10)
+        at = blended_transform_factory(ax.transAxes, figure.transSubfigure)
+        ax.xaxis.set_label_coords(0.5, below, transform=at)
+    for (ax, *_), q in zip(triangle[1:], parameters[1:], strict=True):
+        ax.set_ylabel(symbol(q, unit=True), fontsize=10)
+        at = blended_transform_factory(figure.transSubfigure, ax.transAxes)
+        ax.yaxis.set_label_coords(left, 0.5, transform=at)
+
+
+def _inches(figure: Figure | SubFigure) -> tuple[float, float]:
+    dpi = figure.figure.dpi if isinstance(figure, SubFigure) else figure.dpi
+    return figure.bbox.width / dpi, figure.bbox.height / dpi
 
 
 def _true_lines(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -30,7 +31,7 @@ GREY = "#666666"
 FORMATS = ("png", "pdf", "svg")
 DPI = 160
 
-_SETTINGS: dict[str, Any] = {
+_SETTINGS: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib and has every symbol of the models
     "font.size": 8.0,
     "axes.titlesize": 9.0,
@@ -38,7 +39,7 @@ _SETTINGS: dict[str, Any] = {
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.prop_cycle": mpl.cycler(color=list(COLOURS)),
+    "axes.prop_cycle": cycler(color=list(COLOURS)),
     "axes.formatter.useoffset": False,
     "xtick.labelsize": 7.5,
     "ytick.labelsize": 7.5,
@@ -156,13 +157,13 @@ def symbol(parameter: Parameter, *, unit: bool = False) -> str:
     '$σ$ (°)'
     """
     text = re.sub(r"_(\w+)", r"_{\\mathrm{\1}}", parameter.symbol)
-    suffix = f" ({unit_text(parameter)})" if unit and parameter.file_unit else ""
+    suffix = f" ({unit_text(parameter.file_unit)})" if unit and parameter.file_unit else ""
     return f"${text}${suffix}"
 
 
-def unit_text(parameter: Parameter) -> str:
-    """Unit of files as it stands on an axis: ° for degrees."""
-    return "°" if parameter.file_unit == "deg" else parameter.file_unit
+def unit_text(unit: str) -> str:
+    """A unit of files as it stands on an axis: ° for degrees."""
+    return "°" if unit == "deg" else unit
 
 
 def nothing_to_draw(what: str) -> DataError:

@@ -20,7 +20,7 @@ from gonio.samples import BRDFSamples
 from gonio.session import Session
 
 WIDTH = 10.0  # inches
-_HEIGHTS = {"heading": 0.55, "frames": 3.2, "slices": 3.75, "table": 0.55}
+_HEIGHTS = {"heading": 0.55, "frames": 3.2, "slices": 3.75}  # inches
 
 
 def summary(
@@ -123,15 +123,15 @@ def _lower(
         return
     left = part
     if chain is not None and (samples is not None or fit is not None):
-        left, right = part.subfigures(1, 2, width_ratios=[1.15, 1])
+        left, right = part.subfigures(1, 2, width_ratios=[1.15, 1], squeeze=False)[0]
         corner(chain, truth, right)
     elif chain is not None:
         corner(chain, truth, part)
         return
     if samples is not None and fit is not None:
-        height = 0.3 + 0.18 * (1 + len(fit.parameters))
+        height = 0.2 + 0.2 * (1 + len(fit.parameters))
         ratios = [_HEIGHTS["slices"] - height, height]
-        left, below = left.subfigures(2, 1, height_ratios=ratios)
+        left, below = left.subfigures(2, 1, height_ratios=ratios, squeeze=False)[:, 0]
         _table(below, fit, truth)
     elif fit is not None:
         _table(left, fit, truth)
@@ -168,18 +168,23 @@ def _heading_text(
             "instrument": session.metadata.instrument,
             **known,
         }
-    name = str(known.get("sample") or known.get("path") or "BRDF samples").replace("_", " ")
+    sample = known.get("sample")
+    name = str(sample).replace("_", " ") if sample else str(known.get("path") or "BRDF samples")
     title = name + (f" on {known['instrument']}" if known.get("instrument") else "")
     facts = []
     if fit is not None:
         title += f": {models.get(fit.model).title}"
-        facts += [f"{_grouped(fit.n_samples)} samples", f"χ²/dof {fit.chi2 / fit.dof:.3g}"]
+        facts += [f"{_grouped(fit.n_samples)} samples"]
+        if fit.weights == "sd":  # else it has a unit and no meaning of its own
+            facts.append(f"χ²/dof {_three_digits(fit.chi2 / fit.dof)}")
         if fit.posterior is not None:
             facts.append(f"posterior: {_grouped(fit.posterior.ess)} effective draws")
             facts.append(f"R-hat {fit.posterior.r_hat:.3f}")
         facts.append(f"seed {fit.seed}")
     elif samples is not None:
         facts.append(f"{_grouped(len(samples))} samples")
+    if samples is not None and samples.wavelength_nm is not None:
+        facts.append(f"{samples.wavelength_nm[0]:g} nm")
     if session is not None:
         plan = session.metadata.plan
         images = len(plan.theta_i_deg) * len(plan.rotations_deg)
@@ -198,24 +203,32 @@ def _table(part: SubFigure, fit: FitResult, truth: Mapping[str, float] | None) -
     body = []
     for name, estimate in fit.parameters.items():
         q = model.parameter(name)
-        unit = unit_text(q)
-        line = [symbol(q), q.meaning, recovered(estimate) + (f" {unit}" if unit else "")]
+        line = [symbol(q), q.meaning, recovered(estimate)]
         if truth:
-            line += _true_columns(estimate, truth.get(name), unit)
+            line += _true_columns(estimate, truth.get(name))
         body.append(line)
-    widths = [0.07, 0.34, 0.26, 0.14, 0.19] if truth else [0.1, 0.45, 0.45]
+    widths = _column_widths([head, *body])
     table = ax.table(
         [head, *body], loc="upper center", cellLoc="left", edges="open", colWidths=widths
     )
     table.auto_set_font_size(False)
-    table.set_fontsize(8)
+    table.set_fontsize(7.5)
     for (row, _), cell in table.get_celld().items():
-        cell.set_height(1 / (1.2 + len(body)))
+        cell.set_height(1 / (1.4 + len(body)))
         cell.PAD = 0.02
         cell.visible_edges = "B" if row == 0 else "open"
         cell.set_linewidth(0.6)
         if row == 0:
             cell.set_text_props(color=GREY)
+
+
+def _column_widths(rows: list[list[str]]) -> list[float]:
+    """Shares of the width by the longest text of each column; a symbol counts as 3 letters."""
+    letters = [
+        max(3 if text.startswith("$") else len(text) for text in column) + 2
+        for column in zip(*rows, strict=True)
+    ]
+    return [n / sum(letters) for n in letters]
 
 
 def recovered(estimate: Estimate) -> str:
@@ -230,9 +243,14 @@ def recovered(estimate: Estimate) -> str:
     """
     if estimate.stderr is None:
         why = f"at its {estimate.at_bound} bound" if estimate.at_bound else "not determined"
-        return f"{estimate.value:.4g} ({why})"
+        return f"{estimate.value:.4g}{_unit(estimate)} ({why})"
     digits = _digits(estimate.stderr)
-    return f"{estimate.value:.{digits}f} ± {estimate.stderr:.{digits}f}"
+    return f"{estimate.value:.{digits}f} ± {estimate.stderr:.{digits}f}{_unit(estimate)}"
+
+
+def _unit(estimate: Estimate) -> str:
+    text = unit_text(estimate.unit)
+    return f" {text}" if text else ""
 
 
 def _digits(u: float) -> int:
@@ -240,14 +258,18 @@ def _digits(u: float) -> int:
     return max(0, 1 - floor(log10(u))) if u > 0 else 6
 
 
-def _true_columns(estimate: Estimate, true: float | None, unit: str) -> list[str]:
+def _true_columns(estimate: Estimate, true: float | None) -> list[str]:
     if true is None:
         return ["", ""]
-    text = f"{true:.6g}" + (f" {unit}" if unit else "")
+    text = f"{true:.6g}{_unit(estimate)}"
     if not estimate.stderr:
         return [text, ""]
     ratio = f"{(estimate.value - true) / estimate.stderr:+z.1f}"
     return [text, "0.0" if ratio == "+0.0" else ratio.replace("-", "−")]
+
+
+def _three_digits(number: float) -> str:
+    return f"{number:#.3g}".removesuffix(".")
 
 
 def _grouped(number: float) -> str:

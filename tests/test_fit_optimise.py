@@ -1,0 +1,204 @@
+"""The minimum: every start ends in it, saddles and spikes are left, a wrong kernel is caught."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gonio
+from gonio import models
+from gonio.fitting import optimise
+from gonio.fitting.problem import Problem
+from gonio.geometry import Directions
+from gonio.samples import BRDFSamples
+
+TRUTHS = {
+    "ward": {"rho_d": 0.15, "rho_s": 0.19, "alpha_x": 0.088, "alpha_y": 0.13},
+    "ward_isotropic": {"rho_d": 0.15, "rho_s": 0.19, "alpha": 0.1},
+    "oren_nayar": {"rho": 0.8, "sigma": 0.4},
+    "oren_nayar_torrance_sparrow": {"sigma": 0.35, "rho": 0.8, "ks_over_kb": 0.05},
+}
+
+
+def directions(n, rng, theta_max=70):
+    theta = np.radians(rng.uniform(0, theta_max, (2, n)))
+    phi = rng.uniform(0, 2 * np.pi, (2, n))
+    return Directions(theta[0], phi[0], theta[1], phi[1])
+
+
+def noisy(name, n=2000, noise=0.01, seed=1, where=None, **changed):
+    """Samples of a model with relative noise."""
+    rng = np.random.default_rng(seed)
+    where = where or directions(n, rng)
+    f = models.get(name)(where, **(TRUTHS.get(name, {}) | changed))
+    return BRDFSamples(where, f * (1 + noise * rng.standard_normal(len(f))))
+
+
+def random_start(model, rng):
+    start = {}
+    for q in model.parameters:
+        low, high = q.start or (q.lower, q.upper)
+        if q.name.startswith("alpha"):
+            start[q.name] = float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))
+        else:
+            start[q.name] = float(rng.uniform(0.02, 0.9) if "rho" in q.name else
+                                  rng.uniform(low, high))  # fmt: skip
+    return start
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
+    model = models.get(name)
+    problem = Problem.from_samples(noisy(name), model, threads=1)
+    rng = np.random.default_rng(2)
+    ends = [optimise.minimise(problem, model.vector(random_start(model, rng))) for _ in range(50)]
+    assert all(end.verified for end in ends)
+    chi2 = np.array([end.chi2 for end in ends])
+    np.testing.assert_allclose(chi2, chi2.min(), rtol=1e-9)
+    # The polish stops where its next step is 1e-5 of the uncertainties.
+    sd = np.sqrt(np.diag(np.linalg.inv(ends[0].curvature)) * chi2.min() / problem.n)
+    assert np.all(np.ptp([end.p for end in ends], axis=0) < 1e-3 * sd)
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_fit_from_given_starts_is_the_fit_from_the_data(name):
+    samples = noisy(name, n=500)
+    free = gonio.fit(samples, model=name)
+    assert free.status == "converged"
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        given = gonio.fit(samples, model=name, start=random_start(models.get(name), rng))
+        assert given.status == "converged"
+        for key, estimate in given.parameters.items():
+            assert abs(estimate.value - free.values()[key]) < 1e-3 * estimate.stderr
+
+
+def test_the_saddle_at_sigma_0_is_left():
+    """f depends on sigma^2: its derivative vanishes at sigma = 0 whatever the data say."""
+    problem = Problem.from_samples(noisy("oren_nayar"), models.get("oren_nayar"), threads=1)
+    stuck = optimise.minimise(problem, np.array([0.7, 0.0]), search=False)
+    end = optimise.minimise(problem, np.array([0.7, 0.0]))
+    assert stuck.chi2 > 10 * end.chi2
+    assert abs(end.p[1] - 0.4) < 0.01
+
+
+def test_a_lobe_switched_off_at_the_start_is_found():
+    problem = Problem.from_samples(noisy("ward"), models.get("ward"), threads=1)
+    end = optimise.minimise(problem, np.array([0.2, 0.0, 2.0, 0.005]))
+    assert end.verified
+    np.testing.assert_allclose(end.p, list(TRUTHS["ward"].values()), rtol=0.02)
+
+
+def test_a_noiseless_fit_is_exact():
+    result = gonio.fit(noisy("ward", n=300, noise=0), model="ward")
+    assert result.status == "converged"
+    for key, true in TRUTHS["ward"].items():
+        assert result.values()[key] == pytest.approx(true, rel=1e-10)
+
+
+def test_the_minimum_is_that_of_scipy():
+    from scipy.optimize import least_squares
+
+    samples = noisy("ward", n=300)
+    model = models.get("ward")
+    end = optimise.minimise(Problem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1]))
+    w_i, w_r = samples.directions.vectors()
+    found = least_squares(
+        lambda p: samples.value - model.evaluate(w_i, w_r, p), [0.1, 0.1, 0.1, 0.1],
+        xtol=1e-15, ftol=1e-15, gtol=1e-15,
+    )  # fmt: skip
+    # chi2 is flat to its rounding 1e-16 within 1e-8 of the uncertainties, which are 1e-2 of p.
+    np.testing.assert_allclose(end.p, found.x, rtol=1e-6)
+    assert end.chi2 == pytest.approx(2 * found.cost, rel=1e-12)
+
+
+def wrong_kernel(xi, yi, zi, xr, yr, zr, rho, k):
+    """Minnaert's law with a derivative by k that forgets the logarithm."""
+    f = rho / 3.141592653589793 * (zi * zr) ** (k - 1)
+    return f, f / rho, f
+
+
+def right_kernel(xi, yi, zi, xr, yr, zr, rho, k):
+    f = rho / 3.141592653589793 * (zi * zr) ** (k - 1)
+    return f, f / rho, f * np.log(zi * zr)
+
+
+def minnaert(kernel):
+    return models.Model(
+        name="sketch",
+        title="",
+        reference="",
+        parameters=(
+            models.Parameter("rho", "rho", "", 0.5, 0.01, 1.0),
+            models.Parameter("k", "k", "", 1.0, 0.1, 2.0),
+        ),
+        kernel=kernel,
+    )
+
+
+def test_a_wrong_derivative_is_caught_by_name():
+    rng = np.random.default_rng(4)
+    where = directions(200, rng)
+    value = 0.1 * np.cos(where.theta_r) ** 0.3 + 0.001 * rng.standard_normal(200)
+    samples = BRDFSamples(where, value)
+    good = gonio.fit(samples, model=minnaert(right_kernel))
+    assert good.status == "converged"
+    assert good.warnings == ()
+    bad = gonio.fit(samples, model=minnaert(wrong_kernel))
+    assert bad.status == "not_converged"
+    assert not bad.ok
+    assert (
+        "the derivative by k that sketch gives is not that of its formula: the fit cannot be "
+        "trusted until the model's kernel is mended." in bad.warnings
+    )
+    assert not any("derivative by rho" in text for text in bad.warnings)
+
+
+@pytest.mark.parametrize("name", models.names())
+def test_the_derivatives_of_every_model_pass(name):
+    model = models.get(name)
+    rng = np.random.default_rng(5)
+    where = directions(200, rng)
+    problem = Problem.from_samples(BRDFSamples(where, model(where) + 1e-3), model)
+    for point in ("default", "lower", "upper"):
+        p = np.array([getattr(q, point) for q in model.parameters])
+        assert optimise.gradient_faults(problem, p) == []
+
+
+def test_a_failure_of_the_optimiser_keeps_the_last_point(monkeypatch):
+    import nlopt
+
+    for error in (nlopt.RoundoffLimited("x"), nlopt.runtime_error("x"), ValueError("x")):
+        monkeypatch.setattr(nlopt.opt, "optimize", lambda *_, e=error: (_ for _ in ()).throw(e))
+        assert gonio.fit(noisy("ward", n=200), model="ward").status == "converged"
+
+
+def test_an_unfinished_minimum_is_not_converged(monkeypatch):
+    monkeypatch.setattr(optimise, "POLISH_STEPS", 1)
+    monkeypatch.setattr(optimise, "_slsqp", lambda problem, p: (p, 0))
+    result = gonio.fit(noisy("ward", n=200, noise=1e-4), model="ward")
+    assert result.status == "not_converged"
+    assert (
+        "the minimum was not reached: the next step would still change the fit." in result.warnings
+    )
+
+
+def test_the_deeper_of_two_minima_wins():
+    problem = Problem.from_samples(noisy("ward", n=100), models.get("ward"))
+    a = optimise.minimise(problem, np.array([0.1, 0.1, 0.1, 0.1]))
+    deeper, same = replace(a, chi2=a.chi2 * 0.9, verified=False), replace(a, verified=False)
+    assert optimise.better(a, deeper) is deeper
+    assert optimise.better(deeper, a) is deeper
+    assert optimise.better(a, same) is a
+    assert optimise.better(same, a) is a
+
+
+def test_the_start_subset_does_not_miss_a_narrow_lobe():
+    samples = noisy("ward", n=30_000, alpha_x=0.01, alpha_y=0.01)
+    problem = Problem.from_samples(samples, models.get("ward"))
+    subset = problem.subset(2000)
+    assert 1900 < subset.n <= 2000
+    assert subset.samples.value.max() == samples.value.max()
+    assert gonio.fit(samples, model="ward").values()["alpha_x"] == pytest.approx(0.01, rel=0.05)

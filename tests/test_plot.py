@@ -1,0 +1,422 @@
+"""Pictures: every panel has its labels and units, the files are whole, refusals are clear."""
+
+import json
+import shutil
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import gonio
+from gonio import cli, models, plot
+from gonio.calibration.reflector import reflected_angles
+from gonio.errors import ConfigurationError, DataError
+from gonio.fitting.result import Estimate, FitResult, PosteriorSummary
+from gonio.geometry import Directions
+from gonio.instrument import Instrument, preset
+from gonio.plot.frames import pixel_of
+from gonio.plot.lobe import in_plane
+from gonio.plot.style import DPI
+from gonio.plot.summary import recovered
+from gonio.samples import BRDFSamples
+from gonio.session import Plan, Session
+
+SHINY = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.15, "alpha_y": 0.2}
+
+
+def small() -> Instrument:
+    """ideal12 with 104 x 104 pixels."""
+    rig = preset("ideal12")
+    coarse = {"rows": 208, "columns": 208, "pitch_um": (27.6, 27.6), "binning": 2}
+    return rig.model_copy(update={"sensor": rig.sensor.model_copy(update=coarse)})
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Session:
+    return gonio.simulate(
+        model="ward",
+        parameters=SHINY,
+        output=tmp_path_factory.mktemp("plot") / "shiny.gonio",
+        instrument=small(),
+        plan=Plan(
+            theta_i_deg=(10.0, 30.0, 50.0),
+            rotations_deg=(0.0, 90.0),
+            exposures_s=(1e-3, 16e-3, 256e-3),
+        ),
+        seed=3,
+    )
+
+
+@pytest.fixture(scope="module")
+def samples(session) -> BRDFSamples:
+    return gonio.reduce(session)
+
+
+def record_of(model: str, values: dict[str, float], n_samples: int, **more) -> FitResult:
+    """A converged fit with these values, 1 % uncertain."""
+    estimates = {
+        name: Estimate(v, 0.01 * v, models.get(model).parameter(name).file_unit, None, None, None)
+        for name, v in values.items()
+    }
+    given = {"source": {"sample": "shiny_thing", "instrument": "small12"}} | more
+    return FitResult(
+        model=model, status="converged", parameters=estimates, covariance=None, chi2=90.0,
+        dof=100, noise_scale=1.0, n_samples=n_samples, n_negative=0, weights="sd", seed=1, **given,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fit(samples) -> FitResult:
+    return record_of("ward", SHINY, len(samples))
+
+
+@pytest.fixture(scope="module")
+def draws_file(tmp_path_factory) -> Path:
+    """Draws of the Ward model, laid out as a fit writes them."""
+    rng = np.random.default_rng(4)
+    drawn = {
+        name: (("chain", "draw"), rng.normal(v, 0.01 * v, (8, 200))) for name, v in SHINY.items()
+    }
+    path = tmp_path_factory.mktemp("draws") / "shiny.draws.nc"
+    xr.Dataset(drawn, attrs={"model": "ward"}).to_netcdf(path, group="posterior", engine="h5netcdf")
+    return path
+
+
+@pytest.fixture
+def run(capsys):
+    """Run the command line in this process: (exit code, stderr)."""
+
+    def words(*given):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            cli.main([str(word) for word in given])
+        out, err = capsys.readouterr()
+        assert out == ""
+        return left.value.code, err
+
+    return words
+
+
+@pytest.fixture(autouse=True)
+def no_figure_stays_open():
+    import matplotlib.pyplot as plt
+
+    yield
+    plt.close("all")
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    content = path.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    assert content.rstrip()[-8:-4] == b"IEND"
+    return struct.unpack(">II", content[16:24])
+
+
+# ---------------------------------------------------------------- frames
+
+
+def test_frames_have_titles_units_and_a_colour_bar(session):
+    axes = plot.frames(session)
+    assert all(isinstance(ax, Axes) for ax in axes)
+    assert [ax.get_title().split("= ")[1] for ax in axes] == ["10°", "30°", "50°"]
+    assert all(ax.get_xlabel() == "column (pixel)" for ax in axes)
+    assert axes[0].get_ylabel() == "row (pixel)"
+    labels = [ax.get_ylabel() for ax in axes[0].figure.axes]
+    assert "signal (photo-electrons / s)" in labels
+
+
+def test_frames_draw_on_given_axes(session):
+    given = list(Figure().subplots(1, 2))
+    assert plot.frames(session, [2, 0], given, take=1) == given
+    assert given[0].get_title().endswith("50°")
+    with pytest.raises(ConfigurationError, match="2 axes were given for 1 frames"):
+        plot.frames(session, [0], given)
+    with pytest.raises(ConfigurationError, match="incidence 3 is not of the session's plan"):
+        plot.frames(session, [3])
+
+
+def test_the_specular_mark_sits_on_the_lobe(session):
+    (ax,) = plot.frames(session, [1])
+    image = np.ma.filled(ax.images[0].get_array(), 0.0)
+    (mark,) = (line for line in ax.lines if line.get_label() == "specular")
+    x, y = float(mark.get_xdata()[0]), float(mark.get_ydata()[0])
+    # The entry patch at the retro direction is bright too: look at the specular half only.
+    forward = np.where(np.arange(image.shape[1]) < image.shape[1] / 2, image, 0)
+    row, column = np.unravel_index(np.argmax(forward), forward.shape)
+    # A pixel is 1.8 deg; the lobe, 17 deg wide, leans outwards by a few degrees.
+    assert np.hypot(x - column, y - row) < 5
+
+
+def test_overlay_inverts_lens_and_reflector(session):
+    from gonio.calibration import lens
+
+    metadata = session.metadata
+    theta_r, phi_r = np.radians([0, 30, 60, 80]), np.radians([0, 40, 170, -100])
+    columns, rows = pixel_of(metadata, theta_r, phi_r)
+    at_camera = lens.camera_angles(
+        metadata.lens, *lens.pixel_positions(metadata.camera, columns, rows)
+    )
+    R, D = metadata.geometry.R, metadata.geometry.D
+    back, _ = reflected_angles(*at_camera, R=R, D=D)
+    np.testing.assert_allclose(back, theta_r, atol=1e-6)
+
+
+# ---------------------------------------------------------------- slices
+
+
+def test_slices_have_units_points_and_lines(samples, fit):
+    ax = plot.slices(samples, fit)
+    assert isinstance(ax, Axes)
+    assert "(°)" in ax.get_xlabel()
+    assert ax.get_ylabel() == "BRDF (sr$^{-1}$)"
+    written = [text.get_text() for text in ax.texts]
+    assert [text.split("= ")[-1] for text in written] == ["10°", "30°", "50°"]
+    assert len({text.get_color() for text in ax.texts}) == 3
+    legend = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert legend == ["measured, with standard uncertainty", "fitted: ward"]
+
+
+def test_points_of_the_plane_lie_on_the_model(samples):
+    ward = models.get("ward")
+    for part in in_plane(samples):
+        phi_r = np.where(part.theta_r > 0, part.phi_i + np.pi, part.phi_i)
+        f = ward(Directions(part.theta_i, part.phi_i, np.abs(part.theta_r), phi_r), **SHINY)
+        # Cells of a few degrees against the value at one point: loose, but a wrong side or a
+        # wrong rotation is off by the lobe's whole height.
+        assert np.median(np.abs(part.value / f - 1)) < 0.05
+        assert part.phi_i == 0
+
+
+def test_forward_is_positive(samples):
+    part = in_plane(samples)[-1]
+    assert np.degrees(part.theta_r[np.argmax(part.value)]) == pytest.approx(55, abs=10)
+
+
+def test_no_more_slices_than_asked(samples):
+    angles = [round(np.degrees(part.theta_i)) for part in in_plane(samples, 2)]
+    assert angles == [10, 50]
+
+
+def test_the_scale_is_logarithmic_only_where_it_must_be(samples):
+    theta = np.radians(np.linspace(-70, 70, 29))
+    phi_r = np.where(theta > 0, np.pi, 0.0)
+    directions = Directions(0.5, 0.0, np.abs(theta), phi_r)
+    flat = BRDFSamples(directions, np.full(29, 0.2))
+    ax = plot.slices(flat)
+    assert ax.get_yscale() == "linear"
+    assert ax.get_ylim()[0] == 0
+    lobe = BRDFSamples(directions, 0.01 + np.exp(-(((theta - 0.5) / 0.1) ** 2)))
+    assert plot.slices(lobe).get_yscale() == "log"
+
+
+def test_samples_without_a_plane_of_incidence_are_refused():
+    aside = BRDFSamples(Directions(0.5, 0.0, np.full(9, 0.7), np.pi / 2), np.full(9, 0.2))
+    with pytest.raises(DataError, match="no incidence with samples near its plane"):
+        plot.slices(aside)
+
+
+# ---------------------------------------------------------------- posterior
+
+
+def test_corner_is_a_triangle_with_symbols(draws_file):
+    from gonio.plot.summary import read_draws
+
+    triangle = plot.corner(read_draws(draws_file), SHINY)
+    assert [len(row) for row in triangle] == [1, 2, 3, 4]
+    assert all(isinstance(ax, Axes) for row in triangle for ax in row)
+    assert triangle[3][0].get_xlabel() == r"$ρ_{\mathrm{d}}$"
+    assert triangle[3][0].get_ylabel() == r"$α_{\mathrm{y}}$"
+    # A true value is a thin line: across in every panel, up in the pairs only.
+    assert len(triangle[1][1].lines) == 2  # median and truth
+    low, high = triangle[0][0].get_xlim()
+    assert low < SHINY["rho_d"] < high
+
+
+def test_corner_states_the_unit_and_leaves_far_truth_out():
+    rng = np.random.default_rng(5)
+    drawn = {
+        "rho": (("chain", "draw"), rng.normal(0.7, 0.01, (4, 300))),
+        "sigma": (("chain", "draw"), rng.normal(40, 1, (4, 300))),
+    }
+    draws = xr.Dataset(drawn, attrs={"model": "oren_nayar"})
+    triangle = plot.corner(draws, {"sigma": 80.0}, Figure(figsize=(4, 4)))
+    assert triangle[1][1].get_xlabel() == "$σ$ (°)"
+    assert triangle[1][1].get_xlim()[1] < 50
+    with pytest.raises(DataError, match="do not name their model"):
+        plot.corner(xr.Dataset(drawn))
+    with pytest.raises(DataError, match="hold no parameter of lambert"):
+        plot.corner(xr.Dataset(attrs={"model": "lambert"}))
+
+
+# ---------------------------------------------------------------- summary
+
+
+def texts(figure: Figure) -> str:
+    from matplotlib.table import Cell
+    from matplotlib.text import Text
+
+    cells = [cell.get_text() for cell in figure.findobj(Cell)]
+    return "\n".join(item.get_text() for item in [*figure.findobj(Text), *cells])
+
+
+def test_summary_tells_what_was_measured(fit, samples, session, draws_file):
+    figure = plot.summary(fit, samples, session, draws_file, truth=SHINY)
+    shown = texts(figure)
+    assert "shiny thing on small12: Ward, elliptical Gaussian, exact" in shown
+    assert "0.2000 ± 0.0020" in shown
+    assert "χ²/dof 0.900" in shown
+    assert "difference / u" in shown
+    assert "has not converged" not in shown
+    assert len(figure.axes) == 3 + 1 + 1 + 10 + 1  # frames, bar, slices, corner, table
+
+
+@pytest.mark.parametrize(
+    ("with_fit", "with_samples", "with_session", "n_axes"),
+    [(1, 1, 0, 2), (0, 1, 0, 1), (0, 1, 1, 5), (0, 0, 1, 4), (1, 0, 0, 1)],
+)
+def test_summary_leaves_out_what_is_not_there(
+    fit, samples, session, with_fit, with_samples, with_session, n_axes
+):
+    figure = plot.summary(
+        fit if with_fit else None,
+        samples if with_samples else None,
+        session if with_session else None,
+    )
+    assert len(figure.axes) == n_axes
+
+
+def test_summary_says_when_a_fit_has_not_converged(fit, samples):
+    assert "the fit has not converged" in texts(
+        plot.summary(replace(fit, status="not_converged"), samples)
+    )
+    poor = PosteriorSummary(10.0, 1.3, 90.0, 0.1, converged=False)
+    assert "the posterior has not converged" in texts(
+        plot.summary(replace(fit, posterior=poor), samples)
+    )
+
+
+def test_summary_of_nothing_is_refused():
+    with pytest.raises(DataError, match="nothing to draw"):
+        plot.summary(None, None)
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (39.96, 1.234, "40.0 ± 1.2"),
+        (1234.0, 56.7, "1234 ± 57"),
+        (0.3, None, "0.3 (not determined)"),
+        (0.1, 0.00996, "0.1000 ± 0.0100"),
+    ],
+)
+def test_two_digits_of_the_uncertainty_are_shown(value, stderr, text):
+    assert recovered(Estimate(value, stderr, "", None, None, None)) == text
+
+
+def test_a_bound_is_told_with_the_unit():
+    at_bound = Estimate(0.5, None, "deg", "lower", None, None)
+    assert recovered(at_bound) == "0.5 ° (at its lower bound)"
+
+
+def test_the_style_ends_with_its_block(fit, samples):
+    before = dict(mpl.rcParams)
+    with plot.style():
+        assert mpl.rcParams["font.size"] == 8
+    plot.summary(fit, samples)
+    assert dict(mpl.rcParams) == before
+
+
+# ---------------------------------------------------------------- files and the command
+
+
+@pytest.mark.parametrize(
+    ("suffix", "start"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
+)
+def test_the_same_picture_is_the_same_file(samples, tmp_path, suffix, start):
+    files = []
+    for name in "ab":
+        figure = Figure(figsize=(3.0, 2.0), layout="constrained")
+        plot.slices(samples, axes=figure.subplots())
+        plot.save(figure, tmp_path / f"{name}.{suffix}")
+        files.append((tmp_path / f"{name}.{suffix}").read_bytes())
+    assert files[0].startswith(start)
+    assert files[0] == files[1]
+    assert len(list(tmp_path.iterdir())) == 2
+    if suffix == "png":
+        assert png_size(tmp_path / "a.png") == (3 * DPI, 2 * DPI)
+
+
+@pytest.fixture
+def fitted(fit, samples, draws_file, tmp_path) -> Path:
+    """A fit, its samples and its draws side by side in a folder."""
+    samples.save(tmp_path / "shiny.nc")
+    shutil.copy(draws_file, tmp_path / "shiny.draws.nc")
+    posterior = PosteriorSummary(900.0, 1.002, 2.0, 0.6, True, "shiny.draws.nc")
+    source = {**fit.source, "input": "shiny.nc", "truth": SHINY}
+    replace(fit, posterior=posterior, source=source).save(tmp_path / "shiny.json")
+    return tmp_path / "shiny.json"
+
+
+def test_plot_of_a_fit_finds_its_files_beside_it(run, fitted):
+    code, err = run("plot", fitted)
+    picture = fitted.with_suffix(".png")
+    assert (code, err.splitlines()[-1]) == (0, f"written to {picture}")
+    assert png_size(picture)[0] == 1600
+    assert picture.stat().st_size > 50_000
+
+
+def test_plot_of_samples_alone(run, fitted, tmp_path):
+    code, _ = run("plot", fitted.with_suffix(".nc"), "-o", tmp_path / "only.svg")
+    assert code == 0
+    assert (tmp_path / "only.svg").read_bytes().rstrip().endswith(b"</svg>")
+
+
+def test_plot_of_a_csv(run, tmp_path):
+    rows = "".join(f"30,0,{theta},180,0.2\n" for theta in range(0, 80, 5))
+    (tmp_path / "paint.csv").write_text(f"theta_i,phi_i,theta_r,phi_r,brdf\n{rows}")
+    assert run("plot", tmp_path / "paint.csv")[0] == 0
+    assert png_size(tmp_path / "paint.png")[0] == 1600
+
+
+def test_plot_goes_on_without_draws(run, fitted):
+    fitted.with_name("shiny.draws.nc").unlink()
+    code, err = run("plot", fitted)
+    assert code == 0
+    assert "the draws shiny.draws.nc are not there: the posterior is left out" in err
+
+
+def edited(path: Path, **changes) -> Path:
+    document = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(document | changes), encoding="utf-8")
+    return path
+
+
+def test_refusals_are_one_clear_sentence(run, fitted, tmp_path):
+    def refused(*words, code):
+        found, err = run("plot", *words)
+        assert found == code
+        assert err.startswith("Error: ")
+        assert err.count("\n") == 1
+        return err
+
+    assert "no such file" in refused(tmp_path / "none.json", code=3)
+    assert "written as .png, .pdf, .svg" in refused(fitted, "-o", tmp_path / "a.jpg", code=2)
+    assert "does not exist" in refused(fitted, "-o", tmp_path / "no" / "a.png", code=3)
+    (tmp_path / "dir.png").mkdir()
+    assert "is a folder" in refused(fitted, "-o", tmp_path / "dir.png", code=2)
+    (tmp_path / "odd.json").write_text("{}")
+    assert "not a readable fit" in refused(tmp_path / "odd.json", code=3)
+    edited(fitted, n_samples=7)
+    assert "the file has changed since" in refused(fitted, code=3)
+    fitted.with_name("shiny.nc").unlink()
+    text = refused(fitted, code=3)
+    assert "was fitted to shiny.nc, which is neither in the current folder nor" in text
+    edited(fitted, source={})
+    assert "does not say which samples it was fitted to" in refused(fitted, code=3)
+    assert not list(tmp_path.glob("*.jpg")) + list(tmp_path.glob(".*"))

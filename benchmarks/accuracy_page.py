@@ -33,8 +33,8 @@ NOTES = {
     "ideal12": "The camera and the noise of `modern12`, no systematic effects. What is left is "
     "eq. (3), good to (D/R)^3 on an ellipsoid; it is stated as an uncertainty, not corrected.",
     "modern12": "Everything on. The largest errors are of rho_s and rho_d: the standard is up to "
-    "half a per cent off its certificate (a draw of each run) and light goes round twice, so that a "
-    "sample darker than the standard comes out up to 1 % low. alpha comes out large by the "
+    "half a per cent off its certificate (drawn anew each run) and light goes round twice, so that "
+    "a sample darker than the standard comes out up to 1 % low. alpha comes out large by the "
     "lamp's cone of half a degree, most where it is smallest.",
     "lbl1992": "A true sphere with D/R = 0.1, on which eq. (3) shifts directions by up to 0.57 deg "
     "and stretches the lobe; pixels of 2.25 deg, 8 bits, a lamp of 1 deg half-angle, slope errors "

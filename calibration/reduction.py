@@ -315,6 +315,16 @@ def _shared_terms(
                 "standard", "reflectance of the white standard", metadata.standard.uncertainty
             )
         )
+    if metadata.standard.rolloff_uncertainty:
+        theta_r = angles(np.concatenate([part.centroid for part in parts]))[0]
+        terms.append(
+            SharedTerm(
+                "standard, shape",
+                "how the standard departs from a Lambertian one at high angles",
+                metadata.standard.rolloff_uncertainty,
+                profile=(theta_r / np.radians(75)) ** 4,
+            )
+        )
     if metadata.lamp.drift:
         drift = metadata.lamp.drift
         terms.append(SharedTerm("lamp, sample", "lamp output, image to image", drift, image))

@@ -363,21 +363,27 @@ def _with_quantiles(
     estimates: Mapping[str, Estimate],
     draws: FloatArray,
 ) -> dict[str, Estimate]:
-    """Intervals from the posterior's quantiles: central, or one-sided at a bound."""
+    """Intervals from the posterior's quantiles: central, or one-sided where a bound is near.
+
+    A central interval would exclude a bound that the data do not exclude.
+    """
     result = {}
     flat = draws.reshape(-1, draws.shape[-1])
     for j, q in enumerate(model.parameters):
         estimate = estimates[q.name]
-        column = flat[:, j]
+        ends = estimate.interval_95 or (np.nan, np.nan)
+        near = [ends[0] <= q.to_file(q.lower), ends[1] >= q.to_file(q.upper)]
+        if estimate.at_bound is not None:
+            near = [estimate.at_bound == "lower", estimate.at_bound == "upper"]
         intervals = []
         for level in LEVELS:
-            if estimate.at_bound == "lower":
-                pair = (q.lower, float(np.quantile(column, level)))
-            elif estimate.at_bound == "upper":
-                pair = (float(np.quantile(column, 1 - level)), q.upper)
+            if near == [True, False]:
+                pair = (q.lower, float(np.quantile(flat[:, j], level)))
+            elif near == [False, True]:
+                pair = (float(np.quantile(flat[:, j], 1 - level)), q.upper)
             else:
                 tail = (1 - level) / 2
-                low, high = np.quantile(column, [tail, 1 - tail])
+                low, high = np.quantile(flat[:, j], [tail, 1 - tail])
                 pair = (float(low), float(high))
             intervals.append((q.to_file(pair[0]), q.to_file(pair[1])))
         result[q.name] = replace(estimate, interval_68=intervals[0], interval_95=intervals[1])

@@ -102,6 +102,8 @@ def _moves(
         change = _blurred(problem, term.blur, p) - f
     else:
         change = term.relative * f
+        if term.profile is not None:
+            change = change * term.profile
     if term.group is None:
         return np.asarray(gain @ change)[None, :]
     _, group = np.unique(term.group, return_inverse=True)

@@ -67,6 +67,8 @@ class SharedTerm:
     shift : ndarray, shape (N, 3), optional
         Change of the viewing direction for one standard deviation, tangent vectors in radians;
         used in place of `relative` where given.
+    profile : ndarray, shape (N,), optional
+        Factor on `relative`, sample by sample; 1 where not given.
     blur : float
         Standard deviation on each axis, radians, by which viewing directions may be blurred; used
         in place of `relative` where positive.
@@ -78,6 +80,7 @@ class SharedTerm:
     group: NDArray[np.int64] | None = None
     shift: FloatArray | None = None
     blur: float = 0.0
+    profile: FloatArray | None = None
 
     def select(self, keep: NDArray[np.int64]) -> SharedTerm:
         """The term for these samples."""
@@ -85,6 +88,7 @@ class SharedTerm:
             self,
             group=None if self.group is None else self.group[keep],
             shift=None if self.shift is None else self.shift[keep],
+            profile=None if self.profile is None else self.profile[keep],
         )
 
 
@@ -304,6 +308,8 @@ def _to_dataset(samples: BRDFSamples) -> Any:
         )
         if term.group is not None:
             variables[f"shared_{k}_group"] = ("sample", term.group)
+        if term.profile is not None:
+            variables[f"shared_{k}_profile"] = ("sample", term.profile)
         if term.shift is not None:
             variables[f"shared_{k}_shift"] = (("sample", "xyz"), term.shift, {"units": "rad"})
     return xr.Dataset(
@@ -351,6 +357,7 @@ def _from_dataset(dataset: Any) -> BRDFSamples:
             column(f"shared_{k}_group"),
             column(f"shared_{k}_shift"),
             float(item["blur"]),
+            column(f"shared_{k}_profile"),
         )
         for k, item in enumerate(json.loads(dataset.attrs["shared"]))
     )

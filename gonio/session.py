@@ -79,6 +79,7 @@ class Certificate(_Record):
     reflectance: float = Field(gt=0, le=1)
     uncertainty: float = Field(ge=0, description="relative standard uncertainty")
     rolloff: float = Field(default=0.0, ge=0)
+    rolloff_uncertainty: float = Field(default=0.0, ge=0)
 
 
 class LampRecord(_Record):

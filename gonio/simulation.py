@@ -185,6 +185,7 @@ def _metadata(rig: Instrument, plan: Plan, sample: str, fingerprint: str) -> Met
             reflectance=standard.reflectance,
             uncertainty=standard.uncertainty,
             rolloff=standard.rolloff if standard.rolloff_certified else 0.0,
+            rolloff_uncertainty=standard.rolloff_uncertainty,
         ),
         lamp=LampRecord(half_angle_deg=rig.lamp.half_angle_deg, drift=rig.lamp.drift),
         limits=Limits(

@@ -93,10 +93,10 @@ def test_each_move_alone_leaves_a_gaussian_as_it_is(move):
     )
     legacy = np.random.RandomState(np.random.MT19937(1))
     start = np.random.default_rng(1).standard_normal((32, 2))
-    sampler.run_mcmc(emcee.State(start, random_state=legacy.get_state()), 4000)
+    sampler.run_mcmc(emcee.State(start, random_state=legacy.get_state()), 3000)
     draws = sampler.get_chain(discard=100)
     ess = draws[:, :, 0].size / np.max(emcee.autocorr.integrated_time(draws, tol=0, quiet=True))
-    assert ess > 3000
+    assert ess > 2500
     # emcee's own snooker gives 0.89 here; four standard errors of a variance are 0.1 at most.
     np.testing.assert_allclose(draws.var(axis=(0, 1)), 1, atol=4 * np.sqrt(2 / ess))
     np.testing.assert_allclose(draws.mean(axis=(0, 1)), 0, atol=4 / np.sqrt(ess))
@@ -148,37 +148,41 @@ def test_shared_terms_move_the_draws():
     assert (high - low) / 2 == pytest.approx(stderr, rel=0.05)
 
 
-def test_one_seed_one_chain_at_any_number_of_threads(tmp_path):
-    samples = noisy("ward_isotropic", ISOTROPIC, n=20_000, sd=5e-3)
-    found = [
-        gonio.fit(samples, model="ward_isotropic", posterior=True, seed=seed, threads=threads)
-        for seed, threads in ((7, 1), (7, 2), (8, 1))
-    ]
-    # Whatever the global state of numpy: emcee would take it for its own.
-    assert found[0].parameters == found[1].parameters
-    assert found[0].posterior == found[1].posterior
-    assert found[0].parameters != found[2].parameters
+def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
+    monkeypatch.setattr(posterior, "EXACT_MEMBERS", 0)  # the batched likelihood
+    # More samples than one block of the likelihood, so that two threads have work.
+    samples = noisy("lambert", {"rho": 0.4}, n=16_500, sd=5e-3)
+
+    def chain(seed, threads):
+        problem = Problem.from_samples(samples, models.get("lambert"), threads=threads)
+        optimum = optimise.minimise(problem, np.array([0.4]))
+        errors = uncertainty.evaluate(problem, optimum, 1.0)
+        return posterior.sample(problem, optimum, errors, seed=seed, max_steps=100)
+
+    one, two, other = chain(7, 1), chain(7, 2), chain(8, 1)
+    np.testing.assert_array_equal(one.draws, two.draws)
+    assert (one.tau, one.r_hat, one.ess) == (two.tau, two.r_hat, two.ess)
+    assert not np.any(one.draws == other.draws)
 
 
 def test_the_global_generator_is_neither_used_nor_moved():
     samples = noisy("lambert", {"rho": 0.4}, n=50)
     a = gonio.fit(samples, model="lambert", posterior=True, seed=3)
-    before = np.random.get_state()[1].copy()
+    before = np.random.mtrand._rand.get_state()[1].copy()
     b = gonio.fit(samples, model="lambert", posterior=True, seed=3)
     assert a.parameters == b.parameters
-    np.testing.assert_array_equal(np.random.get_state()[1], before)
+    np.testing.assert_array_equal(np.random.mtrand._rand.get_state()[1], before)
 
 
-def test_at_a_bound_the_posterior_is_one_sided():
+def test_at_a_bound_the_posterior_is_one_sided(monkeypatch):
+    original = posterior.sample
+    monkeypatch.setattr(posterior, "sample", lambda *a, **k: original(*a, max_steps=600, **k))
     truth = {"rho_d": 0.3, "rho_s": 0.0005, "alpha": 0.2}
-    samples = noisy("ward_isotropic", truth, n=150, sd=0.01, seed=3)
-    result = gonio.fit(samples, model="ward_isotropic", posterior=True)
-    rho_s = result.parameters["rho_s"]
-    if rho_s.at_bound == "lower":
-        assert rho_s.stderr is None
-        assert rho_s.interval_68[0] == rho_s.interval_95[0] == 0
-    assert rho_s.interval_95[0] < 0.0005 < rho_s.interval_95[1]
-    assert rho_s.interval_95[0] >= 0
+    samples = noisy("ward_isotropic", truth, n=60, sd=0.01, seed=3)
+    rho_s = gonio.fit(samples, model="ward_isotropic", posterior=True).parameters["rho_s"]
+    for interval in (rho_s.interval_68, rho_s.interval_95):
+        assert interval[0] == 0 < interval[1]
+    assert rho_s.interval_95[1] > 0.0005
 
 
 def test_the_posterior_at_a_bound_of_one_parameter_is_the_truncated_gaussian():
@@ -288,9 +292,8 @@ def test_cell_factors_keep_the_likelihood(monkeypatch):
 
 
 def test_a_broad_posterior_falls_back_to_the_cells(monkeypatch):
-    problem, optimum, errors = celled(0.02, spread=0.15)
+    problem, optimum, errors = celled(0.1, spread=0.2, n=100)
     monkeypatch.setattr(posterior, "EXACT_MEMBERS", 0)
-    monkeypatch.setattr(posterior, "MAX_STEPS", 200)
     slow = posterior.sample(problem, optimum, errors, seed=1, max_steps=300)
     assert slow.warnings == [
         "the lobe changes over the cells within the posterior: the likelihood was integrated over "

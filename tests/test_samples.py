@@ -44,6 +44,8 @@ def full_samples() -> BRDFSamples:
             SharedTerm("standard", "reflectance of the standard", relative=0.01),
             SharedTerm("lamp", "drift of the lamp", 0.002, group=np.arange(N) // 2),
             SharedTerm("tilt", "tilt of the sample", shift=rng.normal(0, 1e-3, (N, 3))),
+            SharedTerm("shape", "shape of the standard", 0.1, profile=rng.uniform(0, 1, N)),
+            SharedTerm("cone", "cone of the lamp", blur=0.004),
         ),
         solid_angle=rng.uniform(0.001, 0.01, N),
         flags=np.array([0, FLAG_PARTIAL, 0, 0, 1, 0], np.uint8),
@@ -81,8 +83,8 @@ def assert_same(a: BRDFSamples, b: BRDFSamples) -> None:
             np.testing.assert_array_equal(getattr(a.cells, name), getattr(b.cells, name))
     assert len(a.shared) == len(b.shared)
     for s, t in zip(a.shared, b.shared, strict=True):
-        assert (s.name, s.meaning, s.relative) == (t.name, t.meaning, t.relative)
-        for x, y in ((s.group, t.group), (s.shift, t.shift)):
+        assert (s.name, s.meaning, s.relative, s.blur) == (t.name, t.meaning, t.relative, t.blur)
+        for x, y in ((s.group, t.group), (s.shift, t.shift), (s.profile, t.profile)):
             assert (x is None) == (y is None)
             if x is not None:
                 np.testing.assert_array_equal(x, y)

@@ -87,13 +87,12 @@ def command(
     INPUT is a session, a samples file, or any BRDF file that gonio reads. The exit code is 1
     where the fit did not meet its own checks.
     """
-    from gonio.cli.options import parse_parameters
     from gonio.cli.progress import progress
     from gonio.fitting.least_squares import fit
     from gonio.models import get
 
     model = get(model_name)
-    start = parse_parameters(model, starts) if starts else None
+    start = _starts(model, starts) if starts else None
     if output is not None:
         _check_target(output)
     samples = _read(source, _pairs(selections), threads)
@@ -138,6 +137,17 @@ def command(
         _tell(result, model, known, output)
     if not result.ok:
         ctx.exit(1)
+
+
+def _starts(model: Model, items: tuple[str, ...]) -> dict[str, float]:
+    """Starting values as `-p` reads parameters, its messages with the name of this option."""
+    from gonio.cli.options import parse_parameters
+
+    try:
+        return parse_parameters(model, items)
+    except ConfigurationError as error:
+        text = str(error).replace("-p ", "--start ")
+        raise ConfigurationError(text, value=error.value) from None
 
 
 def _check_target(output: Path) -> None:
@@ -249,7 +259,8 @@ def _tell(
             table.add_column(heading, justify="right", no_wrap=True)
     for name, estimate in result.parameters.items():
         table.add_row(*_row(name, estimate, None if truth is None else truth[name]))
-    console = Console(width=max(80, _terminal_width()), highlight=False)
+    # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
+    console = Console(width=max(80, _terminal_width()), highlight=False, markup=False)
     console.print(table)
     ratio = f"chi2/dof {result.chi2 / result.dof:.4g}, " if result.weights == "sd" else ""
     click.echo(f"{ratio}status: {result.status.replace('_', ' ')}")

@@ -27,6 +27,10 @@ class Standard(Part):
         "takes the standard as Lambertian, as Ward's eq. (2) does",
     )
 
+    rolloff_uncertainty: float = Field(
+        default=0.0, ge=0, lt=0.4, description="standard uncertainty of what is taken for rolloff"
+    )
+
     def brdf(self, theta_r: ArrayLike) -> FloatArray:
         """f of the standard in sr^-1 for polar angles in radians."""
         t = np.asarray(theta_r, float) / np.radians(75)

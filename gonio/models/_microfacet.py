@@ -1,0 +1,116 @@
+"""What the microfacet models share: Fresnel's formulas, V-cavities and the GGX distribution.
+
+Half vectors are H = i + r, not normalised: with q = H.H the cosine of the facet's normal is
+n.h = H.z/sqrt(q) and that of the angle on the facet is i.h = sqrt(q)/2.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+
+def fresnel_dielectric(c: float, eta: float) -> tuple[float, float]:
+    """Reflectance of a smooth dielectric for unpolarised light, and its derivative by eta.
+
+    Parameters
+    ----------
+    c : float
+        Cosine of the angle of incidence, in (0, 1].
+    eta : float
+        Refractive index, real, 1 or more.
+
+    Notes
+    -----
+    F = (g - c)^2 / 2 (g + c)^2 {1 + [c (g + c) - 1]^2 / [c (g - c) + 1]^2}, g^2 = eta^2 + c^2 - 1
+    as in Cook & Torrance 1982, appendix.
+
+    Examples
+    --------
+    >>> round(fresnel_dielectric(1.0, 1.5)[0], 12)
+    0.04
+    """
+    g = math.sqrt(eta * eta - 1 + c * c)
+    a = (g - c) / (g + c)
+    e = c * (g - c) + 1
+    b = (c * (g + c) - 1) / e
+    by_g = a * (1 + b * b) * 2 * c / ((g + c) * (g + c))
+    by_g += a * a * b * 2 * c * (1 - c * c) / (e * e)
+    return 0.5 * a * a * (1 + b * b), by_g * eta / g
+
+
+def fresnel_conductor(c: float, eta: float, kappa: float) -> tuple[float, float, float]:
+    """Reflectance for the complex index m = eta + i kappa, and its derivatives by eta and kappa.
+
+    Parameters
+    ----------
+    c : float
+        Cosine of the angle of incidence, in (0, 1].
+    eta, kappa : float
+        Refractive index and extinction coefficient, kappa 0 or more; a dielectric at kappa = 0.
+
+    Notes
+    -----
+    r_s = (c - w)/(c + w), r_p = (m^2 c - w)/(m^2 c + w), w^2 = m^2 - 1 + c^2, and
+    F = (|r_s|^2 + |r_p|^2)/2. Both r are holomorphic in m, so one complex derivative gives both
+    real ones.
+
+    Examples
+    --------
+    >>> round(fresnel_conductor(1.0, 1.5, 0.0)[0], 12)
+    0.04
+    """
+    m = complex(eta, kappa)
+    m2 = m * m
+    w = cmath.sqrt(m2 - 1 + c * c)
+    # w = 0 is the critical angle of a medium with eta < 1 and kappa = 0: no derivative there.
+    dw = m / w if w != 0 else 0j
+    s = c + w
+    p = m2 * c + w
+    r_s = (c - w) / s
+    r_p = (m2 * c - w) / p
+    by_m = r_s.conjugate() * (-2 * c * dw / (s * s))
+    by_m += r_p.conjugate() * (2 * c * (2 * m * w - m2 * dw) / (p * p))
+    reflectance = r_s.real * r_s.real + r_s.imag * r_s.imag
+    reflectance += r_p.real * r_p.real + r_p.imag * r_p.imag
+    return 0.5 * reflectance, by_m.real, -by_m.imag
+
+
+def v_cavities(h_z: float, q: float, zi: float, zr: float) -> float:
+    """Shadowing and masking by V-cavities: min[1, 2 (n.h)(n.i)/(h.i), 2 (n.h)(n.r)/(h.r)]."""
+    return min(1.0, 4 * h_z * min(zi, zr) / q)
+
+
+def ggx(
+    h_x: float, h_y: float, h_z: float, alpha_x: float, alpha_y: float
+) -> tuple[float, float, float]:
+    """GGX density D of facet normals along H, and the derivatives of ln D by alpha_x and alpha_y.
+
+    Notes
+    -----
+    D = 1 / {pi alpha_x alpha_y [(h.x/alpha_x)^2 + (h.y/alpha_y)^2 + (h.n)^2]^2}, and the integral
+    of D h.n over the hemisphere is 1 (Walter et al. 2007, eq. (33); Heitz 2014, eq. (85)).
+    """
+    u2 = h_x * h_x / (alpha_x * alpha_x)
+    v2 = h_y * h_y / (alpha_y * alpha_y)
+    t = u2 + v2 + h_z * h_z
+    q = h_x * h_x + h_y * h_y + h_z * h_z
+    return (
+        q * q / (math.pi * alpha_x * alpha_y * t * t),
+        (4 * u2 / t - 1) / alpha_x,
+        (4 * v2 / t - 1) / alpha_y,
+    )
+
+
+def ggx_smith(
+    x: float, y: float, z: float, alpha_x: float, alpha_y: float
+) -> tuple[float, float, float]:
+    """S = z (1 + 2 Lambda) of Smith's masking for GGX, and its derivatives by alpha_x and alpha_y.
+
+    Notes
+    -----
+    S^2 = z^2 + (alpha_x x)^2 + (alpha_y y)^2. G_1 = 2 z/(z + S), and with correlated heights
+    G_2 = 2 zi zr/(zr S_i + zi S_r) (Heitz 2014, eqs (72), (86), (99)).
+    """
+    s = math.sqrt(z * z + alpha_x * alpha_x * x * x + alpha_y * alpha_y * y * y)
+    return s, alpha_x * x * x / s, alpha_y * y * y / s

@@ -257,7 +257,8 @@ def test_reduce_checks_its_target_before_the_work(gonio, recorded, tmp_path, mon
 def test_another_session_is_not_overwritten(gonio, rig, recorded, tmp_path):
     code, _, err = gonio(*simulate_words(rig, recorded), "--seed", 3)
     assert code == 2
-    assert "made with other settings or another seed; give another folder or delete it." in err
+    assert "made with other settings or another seed than the one asked for" in err
+    assert "give another folder or delete it." in err
     (tmp_path / "notes.txt").write_text("mine")
     code, _, err = gonio(*simulate_words(rig, tmp_path))
     assert code == 2

@@ -10,8 +10,8 @@ import cmath
 import math
 
 
-def fresnel_dielectric(c: float, eta: float) -> tuple[float, float]:
-    """Reflectance of a smooth dielectric for unpolarised light, and its derivative by eta.
+def fresnel_dielectric(c: float, eta: float) -> tuple[float, float, float]:
+    """Reflectance of a smooth dielectric for unpolarised light, and its derivatives by c and eta.
 
     Parameters
     ----------
@@ -32,11 +32,15 @@ def fresnel_dielectric(c: float, eta: float) -> tuple[float, float]:
     """
     g = math.sqrt(eta * eta - 1 + c * c)
     a = (g - c) / (g + c)
-    e = c * (g - c) + 1
-    b = (c * (g + c) - 1) / e
-    by_g = a * (1 + b * b) * 2 * c / ((g + c) * (g + c))
-    by_g += a * a * b * 2 * c * (1 - c * c) / (e * e)
-    return 0.5 * a * a * (1 + b * b), by_g * eta / g
+    n = c * (g + c) - 1
+    d = c * (g - c) + 1
+    b = n / d
+    # F = a^2 (1 + b^2)/2, first by g and by c as if they were independent.
+    by_a = a * (1 + b * b) * 2 / ((g + c) * (g + c))
+    by_b = a * a * b / (d * d)
+    by_g = by_a * c + by_b * 2 * c * (1 - c * c)
+    by_c = by_b * ((g + 2 * c) * d - (g - 2 * c) * n) - by_a * g
+    return 0.5 * a * a * (1 + b * b), by_c + by_g * c / g, by_g * eta / g
 
 
 def fresnel_conductor(c: float, eta: float, kappa: float) -> tuple[float, float, float]:

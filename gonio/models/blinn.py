@@ -41,7 +41,7 @@ def kernel(
     # (n.h)^2 (c^2 - 1) + 1 without the difference of near equals at small c.
     t = sin2 / q + c * c * cos2
     d = c * c / (math.pi * t * t)
-    fresnel, by_eta = fresnel_dielectric(0.5 * math.sqrt(q), eta)
+    fresnel, _, by_eta = fresnel_dielectric(0.5 * math.sqrt(q), eta)
     facets = d * v_cavities(h_z, q, zi, zr) / (4 * zi * zr)
     lobe = fresnel * facets
     return (

@@ -42,7 +42,7 @@ def kernel(
     cos2 = h_z * h_z / q
     t2 = sin2 / (h_z * h_z * m * m)
     d = math.exp(-t2) / (math.pi * m * m * cos2 * cos2)
-    fresnel, by_eta = fresnel_dielectric(0.5 * math.sqrt(q), eta)
+    fresnel, _, by_eta = fresnel_dielectric(0.5 * math.sqrt(q), eta)
     facets = d * v_cavities(h_z, q, zi, zr) / (4 * zi * zr)
     lobe = fresnel * facets
     return (

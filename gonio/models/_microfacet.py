@@ -23,7 +23,7 @@ def fresnel_dielectric(c: float, eta: float) -> tuple[float, float, float]:
     Notes
     -----
     F = (g - c)^2 / 2 (g + c)^2 {1 + [c (g + c) - 1]^2 / [c (g - c) + 1]^2}, g^2 = eta^2 + c^2 - 1
-    as in Cook & Torrance 1982, appendix.
+    as in Cook & Torrance 1982.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def ggx(
     Notes
     -----
     D = 1 / {pi alpha_x alpha_y [(h.x/alpha_x)^2 + (h.y/alpha_y)^2 + (h.n)^2]^2}, and the integral
-    of D h.n over the hemisphere is 1 (Walter et al. 2007, eq. (33); Heitz 2014, eq. (85)).
+    of D h.n over the hemisphere is 1 (Walter et al. 2007, eq. (33), with two slopes).
     """
     u2 = h_x * h_x / (alpha_x * alpha_x)
     v2 = h_y * h_y / (alpha_y * alpha_y)
@@ -114,7 +114,7 @@ def ggx_smith(
     Notes
     -----
     S^2 = z^2 + (alpha_x x)^2 + (alpha_y y)^2. G_1 = 2 z/(z + S), and with correlated heights
-    G_2 = 2 zi zr/(zr S_i + zi S_r) (Heitz 2014, eqs (72), (86), (99)).
+    G_2 = 2 zi zr/(zr S_i + zi S_r) (Heitz 2014, eq. (99)).
     """
     s = math.sqrt(z * z + alpha_x * alpha_x * x * x + alpha_y * alpha_y * y * y)
     return s, alpha_x * x * x / s, alpha_y * y * y / s

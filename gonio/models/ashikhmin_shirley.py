@@ -10,8 +10,8 @@ h is the half vector, normalised; n_u and n_v are the exponents along x and y. r
 reflectance at normal incidence: also rho_s = 0 has a lobe at grazing, so that the model is never
 Lambert. sqrt[(n_u + 1)(n_v + 1)]/(2 pi) normalises the density of h over the hemisphere.
 
-(1 - cos/2)^5 of the diffuse term replaces Schlick's power in closed form. Both terms are
-reciprocal.
+Schlick's power has (1 - cos/2)^5 in its place in the diffuse term, whose albedo is then a closed
+form. Both terms are reciprocal, and the albedo stays below 1.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ DEG = math.pi / 180
 MODEL = Model(
     name="ashikhmin_shirley",
     title="Ashikhmin-Shirley, anisotropic Phong",
-    reference="Ashikhmin & Shirley 2000, An Anisotropic Phong BRDF Model, eqs (4), (5)",
+    reference="Ashikhmin & Shirley 2000, An Anisotropic Phong BRDF Model",
     parameters=(
         Parameter("rho_d", "ρ_d", "reflectance of the body", 0.2, 0.0, 1.0, linear=True),
         Parameter(

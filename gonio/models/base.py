@@ -247,9 +247,7 @@ class Model:
         }
 
 
-def _flat_pairs(
-    w_i: FloatArray, w_r: FloatArray
-) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
+def _flat_pairs(w_i: FloatArray, w_r: FloatArray) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
     w_i, w_r = np.broadcast_arrays(np.asarray(w_i, float), np.asarray(w_r, float))
     shape = w_i.shape[:-1]
     return (

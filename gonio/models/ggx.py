@@ -10,8 +10,8 @@ F: Fresnel's reflectance for the index eta + i kappa at the angle between i and 
 h is the half vector, normalised. kappa = 0 is a dielectric; kappa > 0 a metal, for which eta may
 be below 1. k_s = 1 is the physical lobe; less stands for dust, porosity or losses between facets.
 rho_d/pi is added as it is, without the loss that the interface takes from it (`rough_plastic` has
-that). The lobe reflects once: what meets a second facet is lost, so that with F = 1 the albedo at
-alpha = 1 is below 1.
+that). The lobe reflects once: what meets a second facet is lost. With F = 1 the albedo at normal
+incidence is 1 - ln 2 = 0.31 for alpha = 1.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def kernel(
 MODEL = Model(
     name="ggx",
     title="GGX microfacets, anisotropic, dielectric or metal",
-    reference="Walter et al. 2007, eqs (20), (33); Heitz 2014, eqs (85), (86), (99)",
+    reference="Walter et al. 2007, eqs (20), (33); Heitz 2014, eq. (99)",
     parameters=(
         Parameter("rho_d", "ρ_d", "diffuse reflectance", 0.2, 0.0, 1.0, linear=True),
         Parameter("k_s", "k_s", "scale of the lobe, 1 is physical", 1.0, 0.0, 1.0, linear=True),

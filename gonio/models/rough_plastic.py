@@ -14,11 +14,11 @@ Light enters with T(theta_i), is scattered by the base and thrown back by the in
 of times, and leaves with T(theta_r)/eta^2, the radiance being spread by refraction: the model is
 reciprocal. F_int follows from T by the balance of energy, so that at rho = 1 the diffuse part
 returns exactly what was let in. The albedo is at most 1: the lobe reflects less than <F>, for light
-that meets a second facet is lost (4 % at normal incidence for alpha = 0.6, eta = 1.5). As
+that meets a second facet is lost (3 % of all at normal incidence for alpha = 0.5, eta = 1.5). As
 alpha -> 0 the diffuse part becomes that of a smooth plastic, T = 1 - F(cos theta).
 
-Renderers that have this model take T from a table in place of <F> and the F_int of a smooth
-interface. <F> is a sum over 48 facets here, exact to 2e-4; F_mean a polynomial for that sum.
+Renderers take T and F_int from tables. Here <F> is a sum over 48 facets, exact to 2e-4, and F_mean
+a polynomial for the average of that sum.
 """
 
 from __future__ import annotations

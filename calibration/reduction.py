@@ -303,9 +303,7 @@ def _shared_terms(
     source = np.radians(metadata.lamp.half_angle_deg) / 2  # sd of a uniform disc on each axis
     if source:
         terms.append(SharedTerm("source cone", "the lamp's finite half-angle", blur=source))
-    if metadata.limits.slope_error_deg:
-        slope = 2 * np.radians(metadata.limits.slope_error_deg)  # a mirror doubles it
-        terms.append(SharedTerm("dome slope", "slope errors of the dome", blur=slope))
+    terms += _slope_terms(metadata, parts, incidence)
     if metadata.limits.multibounce:
         share = metadata.limits.multibounce * metadata.standard.reflectance
         terms.append(SharedTerm("multi-bounce", "light that reaches the sample twice", share))
@@ -335,6 +333,47 @@ def _shared_terms(
                        incidence)
         )  # fmt: skip
     return tuple(terms)
+
+
+def _slope_terms(
+    metadata: Metadata, parts: list[_Part], incidence: NDArray[np.int64]
+) -> list[SharedTerm]:
+    """What unknown, smooth slope errors of the dome do to a lobe.
+
+    They shift directions by 2 e, alike over a correlation length L: a lobe is moved as a whole and
+    stretched by 2 e / L, in the plane of incidence and across. Incidences L apart see other parts
+    of the dome; rotations of the sample at one incidence see the same.
+    """
+    limits = metadata.limits
+    if not (limits.slope_error_deg or limits.rim_slope_error_deg):
+        return []
+    reach = np.radians(limits.slope_correlation_deg)
+    moved, stretched, across = [], [], []
+    for part in parts:
+        rim = (part.theta_i / (np.pi / 2)) ** 6
+        size = 2 * np.radians(limits.slope_error_deg + limits.rim_slope_error_deg * rim)
+        mirror = np.array([-np.sin(part.theta_i), 0.0, np.cos(part.theta_i)])
+        axes = (np.array([np.cos(part.theta_i), 0.0, np.sin(part.theta_i)]), np.array([0, 1.0, 0]))
+        lab = rotated(part.centroid, -part.psi)
+        shifts = [size * axes[0] * np.ones((len(lab), 1))]
+        for axis in axes:
+            # Beyond L the error is another one: it grows no further.
+            distance = np.clip((lab - mirror) @ axis, -reach, reach)
+            shifts.append(size / reach * distance[:, None] * axis)
+        for kept, shift in zip((moved, stretched, across), shifts, strict=True):
+            # Only the part across the direction turns it.
+            shift = shift - np.sum(shift * lab, axis=1, keepdims=True) * lab
+            kept.append(rotated(shift, part.psi))
+    theta_i = np.radians(metadata.plan.theta_i_deg)
+    group = np.floor(theta_i / reach).astype(np.int64)[incidence]
+    meanings = ("moves the lobe", "stretches the lobe in the plane of incidence", "and across it")
+    names = ("dome slope, shift", "dome slope, in plane", "dome slope, across")
+    return [
+        SharedTerm(
+            name, f"slope errors of the dome: {meaning}", group=group, shift=np.concatenate(s)
+        )
+        for name, meaning, s in zip(names, meanings, (moved, stretched, across), strict=True)
+    ]
 
 
 def _history(metadata: Metadata, parts: list[_Part], n: int) -> tuple[str, ...]:

@@ -93,6 +93,12 @@ class Limits(_Record):
     """What the instrument is known to do to the light and the reduction does not correct."""
 
     slope_error_deg: float = Field(default=0.0, ge=0, description="sd of the dome's surface slope")
+    rim_slope_error_deg: float = Field(
+        default=0.0, ge=0, description="added to it at the rim, as (theta/90 deg)^6"
+    )
+    slope_correlation_deg: float = Field(
+        default=10.0, gt=0, description="distance over which slope errors are alike"
+    )
     multibounce: float = Field(
         default=0.0, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
     )

@@ -189,7 +189,10 @@ def _metadata(rig: Instrument, plan: Plan, sample: str, fingerprint: str) -> Met
         ),
         lamp=LampRecord(half_angle_deg=rig.lamp.half_angle_deg, drift=rig.lamp.drift),
         limits=Limits(
-            slope_error_deg=rig.dome.slope_error_deg, multibounce=rig.surroundings.multibounce
+            slope_error_deg=rig.dome.slope_error_deg,
+            rim_slope_error_deg=rig.dome.rim_slope_error_deg,
+            slope_correlation_deg=rig.dome.slope_correlation_deg,
+            multibounce=rig.surroundings.multibounce,
         ),
         plan=plan,
         fingerprint=fingerprint,

@@ -77,7 +77,7 @@ def main() -> None:
     d = Directions(
         rng.uniform(0, 1.4, N), 0.0, rng.uniform(0, 1.4, N), rng.uniform(0, 2 * np.pi, N)
     )
-    w_i, w_r = (np.ascontiguousarray(w) for w in d.vectors())
+    w_i, w_r = d.vectors()
     model = get("ward")
     p = model.vector({})
     ours = best(lambda: model.evaluate(w_i, w_r, p, threads=1))

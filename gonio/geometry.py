@@ -30,7 +30,8 @@ def unit_vectors(theta: ArrayLike, phi: ArrayLike) -> FloatArray:
     sin_theta = np.sin(theta)
     # cos(pi/2) is 6e-17 in floating point; the horizon is exactly horizontal.
     z = np.where(theta == HORIZON, 0.0, np.cos(theta))
-    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), z], axis=-1)
+    # Each component is contiguous in memory, as the compiled loops like it.
+    return np.moveaxis(np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), z]), 0, -1)
 
 
 def angles(vectors: ArrayLike) -> tuple[FloatArray, FloatArray]:

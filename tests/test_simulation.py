@@ -155,7 +155,7 @@ class TestInterruption:
 class TestTruth:
     def test_stands_apart_from_what_the_operator_knows(self, reference):
         text = (reference / "session.json").read_text()
-        for secret in ("truth", "rho_", "alpha", "seed", "standard_scale", "rim_slope", "drawn"):
+        for secret in ("truth", "rho_", "alpha", "seed", "standard_scale", "prnu", "drawn"):
             assert secret not in text
         truth = read_truth(reference)
         assert truth["model"] == "ward"

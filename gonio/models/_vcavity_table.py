@@ -80,8 +80,8 @@ class Table:
         out = np.empty((len(a), 2))
         inside = SIGMA_RANGE[0] <= sigma <= SIGMA_RANGE[1] * (1 + 1e-12)
         empty = np.empty((0, 2), np.float32)
-        slab = self._slabs(float(sigma))[int(derivative)] if inside else empty
-        work = _loop(_look_up)
+        slab = self.slabs(float(sigma))[int(derivative)] if inside else empty
+        work = self.look_up_loop()
         map_blocks(
             lambda s, e: work(a[s:e], b[s:e], slab, sigma, 2 * int(derivative), out[s:e]), len(a)
         )
@@ -104,12 +104,20 @@ class Table:
         slopes = np.stack([d1 + 2 * rho * d2, rho * (s1 + rho * s2)], -1) / np.pi
         return rho / np.pi * (d1 + rho * d2), slopes
 
-    def _slabs(self, sigma: float) -> NDArray[np.float32]:
-        """d1 and d2 at one sigma, then their derivatives; the last sigma asked for is kept."""
+    def slabs(self, sigma: float) -> NDArray[np.float32]:
+        """d1 and d2 at one sigma, then their derivatives, shape (2, STEPS^3, 2).
+
+        Those of the last sigma that was asked for are kept.
+        """
         if self._last is None or self._last[0] != sigma:
             weights = _sigma_weights(sigma).astype(np.float32)
             self._last = (sigma, (weights @ self.values).reshape(2, -1, 2))
         return self._last[1]
+
+    @staticmethod
+    def look_up_loop() -> Callable[..., Any]:
+        """The compiled loop over pairs of directions, see `_look_up`."""
+        return _loop(_look_up)
 
 
 @cache

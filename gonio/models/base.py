@@ -199,23 +199,30 @@ class Model:
         self, w_i: FloatArray, w_r: FloatArray, p: FloatArray, *, threads: int | None = None
     ) -> FloatArray:
         """f for unit vectors of shape (..., 3) and a parameter vector that is not checked."""
-        a, b, shape = _flat_pairs(w_i, w_r)
-        out = np.empty(len(a))
+        parts, shape = _components(w_i, w_r)
+        out = np.empty(parts[0].size)
         work = self.loops.evaluate
-        map_blocks(lambda s, e: work(a[s:e], b[s:e], p, out[s:e]), len(a), threads=threads)
+        map_blocks(
+            lambda s, e: work(*(part[s:e] for part in parts), p, out[s:e]),
+            out.size,
+            threads=threads,
+        )
         return out.reshape(shape)
 
     def gradient(
         self, w_i: FloatArray, w_r: FloatArray, p: FloatArray, *, threads: int | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """f, and its derivatives (..., n_parameters), in one compiled pass."""
-        a, b, shape = _flat_pairs(w_i, w_r)
-        out, jac = np.empty(len(a)), np.empty((len(a), len(self.parameters)))
+        parts, shape = _components(w_i, w_r)
+        out = np.empty(parts[0].size)
+        jac = np.empty((len(self.parameters), out.size))
         work = self.loops.evaluate_gradient
         map_blocks(
-            lambda s, e: work(a[s:e], b[s:e], p, out[s:e], jac[s:e]), len(a), threads=threads
+            lambda s, e: work(*(part[s:e] for part in parts), p, out[s:e], jac[:, s:e]),
+            out.size,
+            threads=threads,
         )
-        return out.reshape(shape), jac.reshape(*shape, -1)
+        return out.reshape(shape), np.moveaxis(jac.reshape(-1, *shape), 0, -1)
 
     def plain(self, w_i: FloatArray, w_r: FloatArray, p: FloatArray) -> tuple[float, ...]:
         """The kernel run by the Python interpreter for one pair: the compiled code's twin."""
@@ -247,11 +254,10 @@ class Model:
         }
 
 
-def _flat_pairs(w_i: FloatArray, w_r: FloatArray) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
+def _components(w_i: FloatArray, w_r: FloatArray) -> tuple[tuple[FloatArray, ...], tuple[int, ...]]:
+    """The six components as flat contiguous arrays, and the common shape of the pairs."""
     w_i, w_r = np.broadcast_arrays(np.asarray(w_i, float), np.asarray(w_r, float))
-    shape = w_i.shape[:-1]
-    return (
-        np.ascontiguousarray(w_i.reshape(-1, 3)),
-        np.ascontiguousarray(w_r.reshape(-1, 3)),
-        shape,
+    parts = tuple(
+        np.ascontiguousarray(w[..., axis]).ravel() for w in (w_i, w_r) for axis in range(3)
     )
+    return parts, w_i.shape[:-1]

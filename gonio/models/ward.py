@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import exp
 from gonio.models.base import Claims, Model, Parameter
 
 
@@ -36,7 +37,7 @@ def kernel(
     v = (yi + yr) / (h_z * alpha_y)
     u2 = u * u
     v2 = v * v
-    lobe = math.exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
+    lobe = exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,

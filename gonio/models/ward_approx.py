@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import exp
 from gonio.models.base import Claims, Model, Parameter
 
 
@@ -38,7 +39,7 @@ def kernel(
     scale = 2 / (q + h_z * math.sqrt(q))
     u2 = scale * h_x * h_x / (alpha_x * alpha_x)
     v2 = scale * h_y * h_y / (alpha_y * alpha_y)
-    lobe = math.exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
+    lobe = exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,

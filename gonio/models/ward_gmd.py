@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import exp
 from gonio.models.base import Claims, Model, Parameter
 
 
@@ -35,7 +36,7 @@ def kernel(
     z2 = (zi + zr) * (zi + zr)
     u2 = h_x * h_x / (z2 * alpha_x * alpha_x)
     v2 = h_y * h_y / (z2 * alpha_y * alpha_y)
-    lobe = math.exp(-(u2 + v2)) / (math.pi * alpha_x * alpha_y)
+    lobe = exp(-(u2 + v2)) / (math.pi * alpha_x * alpha_y)
     lobe *= (h_x * h_x + h_y * h_y + z2) / (z2 * z2)
     return (
         rho_d / math.pi + rho_s * lobe,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import exp
 from gonio.models.base import Claims, Model, Parameter
 
 
@@ -33,7 +34,7 @@ def kernel(
     u = (xi + xr) * scale
     v = (yi + yr) * scale
     t2 = u * u + v * v
-    lobe = math.exp(-t2) / (4 * math.pi * alpha * alpha * math.sqrt(zi * zr))
+    lobe = exp(-t2) / (4 * math.pi * alpha * alpha * math.sqrt(zi * zr))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,

@@ -87,6 +87,7 @@ def command(
     INPUT is a session, a samples file, or any BRDF file that gonio reads. The exit code is 1
     where the fit did not meet its own checks.
     """
+    from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.fitting.least_squares import fit
     from gonio.models import get
@@ -94,7 +95,7 @@ def command(
     model = get(model_name)
     start = _starts(model, starts) if starts else None
     if output is not None:
-        _check_target(output)
+        check_target(output)
     samples = _read(source, _pairs(selections), threads)
     radians = [
         None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
@@ -148,16 +149,6 @@ def _starts(model: Model, items: tuple[str, ...]) -> dict[str, float]:
     except ConfigurationError as error:
         text = str(error).replace("-p ", "--start ")
         raise ConfigurationError(text, value=error.value) from None
-
-
-def _check_target(output: Path) -> None:
-    """Refuse a target that cannot be written before minutes of work, not after."""
-    if not output.parent.is_dir():
-        raise DataError(
-            f"{output}: the folder {output.parent} does not exist; make it first.", value=output
-        )
-    if output.is_dir():
-        raise ConfigurationError(f"{output}: is a folder; give the name of a file.", value=output)
 
 
 def _pairs(selections: tuple[str, ...]) -> dict[str, str]:

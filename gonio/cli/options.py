@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from gonio.errors import ConfigurationError
+from gonio.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from gonio.models import Model, Parameter
@@ -81,6 +83,24 @@ def _checked(parameter: Parameter, number: float) -> float:
             f"allowed is {file_range(parameter)}.",
             value=number,
         ) from None
+
+
+def check_target(output: Path) -> None:
+    """Refuse a file that cannot be written before minutes of work, not after.
+
+    Raises
+    ------
+    DataError
+        If its folder does not exist.
+    ConfigurationError
+        If it is a folder itself.
+    """
+    if not output.parent.is_dir():
+        raise DataError(
+            f"{output}: the folder {output.parent} does not exist; make it first.", value=output
+        )
+    if output.is_dir():
+        raise ConfigurationError(f"{output}: is a folder; give the name of a file.", value=output)
 
 
 def file_range(parameter: Parameter) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
-from gonio.errors import ConfigurationError, DataError
+from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from gonio.samples import BRDFSamples
@@ -37,30 +37,21 @@ def command(session: Path, output: Path, threads: int | None, as_json: bool) -> 
     and averaged in cells. The file is written whole or not at all.
     """
     from gonio.calibration.reduction import reduce
+    from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.session import Session
 
-    _check_target(output)
+    if output.suffix != ".nc":
+        raise ConfigurationError(
+            f"{output}: samples are written as netCDF; give a name that ends in .nc.", value=output
+        )
+    check_target(output)
     opened = Session.open(session)
     opened.require_complete()
     with progress(f"reducing {session.name or session}", "images") as callback:
         samples = reduce(opened, threads=threads, progress=callback)
     samples.save(output)
     _tell(samples, output, as_json)
-
-
-def _check_target(output: Path) -> None:
-    """Refuse a target that cannot be written before minutes of work, not after."""
-    if output.suffix != ".nc":
-        raise ConfigurationError(
-            f"{output}: samples are written as netCDF; give a name that ends in .nc.", value=output
-        )
-    if not output.parent.is_dir():
-        raise DataError(
-            f"{output}: the folder {output.parent} does not exist; make it first.", value=output
-        )
-    if output.is_dir():
-        raise ConfigurationError(f"{output}: is a folder; give the name of a file.", value=output)
 
 
 def _tell(samples: BRDFSamples, output: Path, as_json: bool) -> None:

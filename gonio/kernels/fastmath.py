@@ -1,9 +1,9 @@
 """An exponential that a compiler can vectorise: a polynomial instead of a call into libm.
 
 `math.exp` in a compiled loop is a call for each element; written out as range reduction and a
-polynomial it becomes SIMD code, several times faster and good to 4 parts in 10^16. The functions are
-plain Python; the compiled loops use them as they stand but for `pow2`, whose compiled twin builds
-the number from its bits.
+polynomial it becomes SIMD code, several times faster and good to 4 parts in 10^16. The functions
+are plain Python; the compiled loops use them as they stand but for `pow2`, whose compiled twin
+builds the number from its bits.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ The compiler turns the inner loops into SIMD code. For that they run over contig
 has vectors, and they hold no branch: a pair at or below the horizon is evaluated at z = 1 and its
 value replaced by 0.
 
-Directions are unit vectors in the frame of the sample, i towards the light and r towards the viewer;
-`p` is the parameter vector; f is in sr^-1.
+Directions are unit vectors in the frame of the sample, i towards the light and r towards the
+viewer; `p` is the parameter vector; f is in sr^-1.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
 

@@ -40,12 +40,14 @@ so that g2 needs Gauss-Legendre only where something is shadowed or masked.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gonio.geometry import Directions, FloatArray
-from gonio.kernels import loops_for, map_blocks
+from gonio.models.base import Model, Parameter
 from gonio.models.torrance_sparrow import slope_norm
 
 # Gauss-Legendre nodes and weights: numpy.polynomial.legendre.leggauss(14) moved to [0, 1].
@@ -82,23 +84,17 @@ Pair = tuple[float, float, float, float, float, float, float, float, float]
 
 
 def unidirectional(
-    xi: float,
-    yi: float,
-    zi: float,
-    xr: float,
-    yr: float,
-    zr: float,
-    slope: float,
-    azimuth: float,
+    xi: float, yi: float, zi: float, xr: float, yr: float, zr: float, slope: float
 ) -> tuple[float, float]:
-    """(d1, d2) of cavities that all have one slope and one azimuth, eqs (4)-(11) as they stand.
+    """(d1, d2) of parallel cavities of one slope, eqs (4)-(11) as they stand.
 
     Parameters
     ----------
     xi, yi, zi, xr, yr, zr : float
-        Unit vectors towards the light and towards the viewer, above the horizon.
-    slope, azimuth : float
-        Slope theta_a in [0, pi/2) and azimuth phi_a of one of the two facets, radians.
+        Unit vectors towards the light and towards the viewer, above the horizon. The grooves run
+        along y: the azimuth of a facet is 0 or pi.
+    slope : float
+        Slope theta_a in [0, pi/2), radians.
 
     Notes
     -----
@@ -106,14 +102,12 @@ def unidirectional(
     is the mean over both facets; only that mean is reciprocal after two bounces.
     """
     s, c = math.sin(slope), math.cos(slope)
-    e_i = xi * math.cos(azimuth) + yi * math.sin(azimuth)
-    e_r = xr * math.cos(azimuth) + yr * math.sin(azimuth)
     direct = 0.0
     twice = 0.0
     for sign in (1.0, -1.0):
-        lit = sign * s * e_i + c * zi
-        seen = sign * s * e_r + c * zr
-        lit_companion = c * zi - sign * s * e_i
+        lit = sign * s * xi + c * zi
+        seen = sign * s * xr + c * zr
+        lit_companion = c * zi - sign * s * xi
         if lit > 0 and seen > 0:
             gaf = min(1.0, 2 * zi * c / lit, 2 * zr * c / seen)
             direct += 0.5 * lit * seen / (c * zr * zi) * gaf
@@ -204,7 +198,13 @@ def gaussian(
 
 
 def shares(
-    kernel: object, theta_i: ArrayLike, theta_r: ArrayLike, dphi: ArrayLike, *parameters: float
+    kernel: Callable[..., tuple[float, ...]],
+    theta_i: ArrayLike,
+    theta_r: ArrayLike,
+    dphi: ArrayLike,
+    parameter: float,
+    *,
+    azimuth: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """d1 and d2 of one of this module's three surfaces for arrays of angles.
 
@@ -214,24 +214,26 @@ def shares(
         `unidirectional`, `single_slope` or `gaussian`.
     theta_i, theta_r, dphi : array_like
         Polar angles and azimuth from the light, which is at 0, to the viewer, radians.
-    *parameters : float
-        What the kernel takes behind the directions, radians.
+    parameter : float
+        Slope or sigma, radians.
+    azimuth : float
+        Azimuth of the facets of `unidirectional`, radians.
 
     Returns
     -------
     d1, d2 : ndarray
         Common shape of the angles; 0 at and below the horizon.
     """
-    assert callable(kernel)
-    w_i, w_r = Directions(theta_i, 0.0, theta_r, dphi).vectors()
-    shape = w_i.shape[:-1]
-    w_i, w_r = np.ascontiguousarray(w_i).reshape(-1, 3), np.ascontiguousarray(w_r).reshape(-1, 3)
-    p = np.array(parameters)
-    # The generated loops split a kernel's tuple into its first number and the others.
-    first, others = np.empty(len(w_i)), np.empty((len(w_i), 1))
-    work = loops_for(kernel, len(p)).evaluate_gradient
-    map_blocks(lambda s, e: work(w_i[s:e], w_r[s:e], p, first[s:e], others[s:e]), len(w_i))
-    return first.reshape(shape), others[:, 0].reshape(shape)
+    w_i, w_r = Directions(theta_i, -azimuth, theta_r, np.asarray(dphi) - azimuth).vectors()
+    d1, others = _surface(kernel).gradient(w_i, w_r, np.array([parameter]))
+    return d1, others[..., 0]
+
+
+@cache
+def _surface(kernel: Callable[..., tuple[float, ...]]) -> Model:
+    """A kernel in the loops of a model, which part a tuple into its first number and the next."""
+    angle = Parameter("angle", "", "slope or sigma", 0.3, 0.0, 1.5, unit="rad")
+    return Model(kernel.__name__, "", "", (angle,), kernel)
 
 
 def _pair(xi: float, yi: float, zi: float, xr: float, yr: float, zr: float) -> Pair:

@@ -66,7 +66,7 @@ def d2(theta_i: ArrayLike, theta_r: ArrayLike, dphi: ArrayLike, sigma: float) ->
     Examples
     --------
     >>> round(float(d2(0.0, 0.0, 0.0, math.radians(30))), 3)
-    0.127
+    0.135
     """
     return shares(gaussian, theta_i, theta_r, dphi, sigma)[1]
 

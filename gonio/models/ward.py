@@ -16,7 +16,8 @@ from __future__ import annotations
 import math
 
 from gonio.kernels.fastmath import exp
-from gonio.models.base import Claims, Model, Parameter
+from gonio.models._ward import elliptical
+from gonio.models.base import Claims, Model
 
 
 def kernel(
@@ -51,30 +52,7 @@ MODEL = Model(
     name="ward",
     title="Ward, elliptical Gaussian, exact",
     reference="Ward 1992, eq. (5a), section 4.2",
-    parameters=(
-        Parameter("rho_d", "ρ_d", "diffuse reflectance", 0.2, 0.0, 1.0, linear=True),
-        Parameter("rho_s", "ρ_s", "amplitude of the specular lobe", 0.1, 0.0, 1.0, linear=True),
-        Parameter(
-            "alpha_x",
-            "α_x",
-            "slope of the facets in x",
-            0.1,
-            0.005,
-            2.0,
-            scale="log",
-            start=(0.02, 0.8),
-        ),
-        Parameter(
-            "alpha_y",
-            "α_y",
-            "slope of the facets in y",
-            0.1,
-            0.005,
-            2.0,
-            scale="log",
-            start=(0.02, 0.8),
-        ),
-    ),
+    parameters=elliptical(),
     kernel=kernel,
     claims=Claims(),
     validity="alpha up to about 0.2; rho_s is an amplitude, the lobe's albedo is less at oblique "

@@ -17,7 +17,8 @@ from __future__ import annotations
 import math
 
 from gonio.kernels.fastmath import exp
-from gonio.models.base import Claims, Model, Parameter
+from gonio.models._ward import elliptical
+from gonio.models.base import Claims, Model
 
 
 def kernel(
@@ -52,30 +53,7 @@ MODEL = Model(
     name="ward_duer",
     title="Ward, elliptical Gaussian, normalised by Duer",
     reference="Duer 2006; Ward 1992, eq. (5a), with 1/(cos theta_i cos theta_r)",
-    parameters=(
-        Parameter("rho_d", "ρ_d", "diffuse reflectance", 0.2, 0.0, 1.0, linear=True),
-        Parameter("rho_s", "ρ_s", "amplitude of the specular lobe", 0.1, 0.0, 1.0, linear=True),
-        Parameter(
-            "alpha_x",
-            "α_x",
-            "slope of the facets in x",
-            0.1,
-            0.005,
-            2.0,
-            scale="log",
-            start=(0.02, 0.8),
-        ),
-        Parameter(
-            "alpha_y",
-            "α_y",
-            "slope of the facets in y",
-            0.1,
-            0.005,
-            2.0,
-            scale="log",
-            start=(0.02, 0.8),
-        ),
-    ),
+    parameters=elliptical(),
     kernel=kernel,
     claims=Claims(lambert_limit={"rho_s": 0.0}),
     validity="alpha up to about 0.2 and theta up to 80 deg, where the lobe's albedo is within 11 % "

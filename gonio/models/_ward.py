@@ -1,0 +1,28 @@
+"""The parameters that the normalisations of Ward's elliptical lobe share."""
+
+from __future__ import annotations
+
+from gonio.models.base import Parameter
+
+_SLOPES = tuple(
+    Parameter(
+        f"alpha_{axis}",
+        f"α_{axis}",
+        f"slope of the facets in {axis}",
+        0.1,
+        0.005,
+        2.0,
+        scale="log",
+        start=(0.02, 0.8),
+    )
+    for axis in "xy"
+)
+
+
+def elliptical(rho_s: str = "amplitude of the specular lobe") -> tuple[Parameter, ...]:
+    """rho_d, rho_s, alpha_x, alpha_y; `rho_s` says what rho_s means in this normalisation."""
+    return (
+        Parameter("rho_d", "ρ_d", "diffuse reflectance", 0.2, 0.0, 1.0, linear=True),
+        Parameter("rho_s", "ρ_s", rho_s, 0.1, 0.0, 1.0, linear=True),
+        *_SLOPES,
+    )

@@ -348,7 +348,9 @@ def _slope_terms(
     if not (limits.slope_error_deg or limits.rim_slope_error_deg):
         return []
     reach = np.radians(limits.slope_correlation_deg)
-    moved, stretched, across = [], [], []
+    moved: list[FloatArray] = []
+    stretched: list[FloatArray] = []
+    across: list[FloatArray] = []
     for part in parts:
         rim = (part.theta_i / (np.pi / 2)) ** 6
         size = 2 * np.radians(limits.slope_error_deg + limits.rim_slope_error_deg * rim)

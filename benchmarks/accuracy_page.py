@@ -35,7 +35,10 @@ NOTES = {
     "modern12": "Everything on. The largest errors are of rho_s and rho_d: the standard is up to "
     "half a per cent off its certificate (drawn anew each run) and light goes round twice, so that "
     "a sample darker than the standard comes out up to 1 % low. alpha comes out large by the "
-    "lamp's cone of half a degree, most where it is smallest.",
+    "lamp's cone of half a degree, most where it is smallest, and is stretched by the dome's slope "
+    "errors. Worst of all is ks_over_kb of foam: its lobe is a tenth of the signal, so that the "
+    "lamp's drift of 0.3 % between images, multi-bounce and slope errors move it by more than 1 % "
+    "each; its stated uncertainty is 2.5 %.",
     "lbl1992": "A true sphere with D/R = 0.1, on which eq. (3) shifts directions by up to 0.57 deg "
     "and stretches the lobe; pixels of 2.25 deg, 8 bits, a lamp of 1 deg half-angle, slope errors "
     "of 1 deg at the rim, and a standard taken as Lambertian that is not. This is the limit "

@@ -10,6 +10,9 @@ from difflib import get_close_matches
 from typing import Any
 
 
+SHORT_LIST = 12  # names that a message may list beside a hint
+
+
 class GonioError(Exception):
     """Base of all errors that gonio raises on purpose.
 
@@ -49,6 +52,8 @@ class SessionInterruptedError(GonioError):
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigurationError:
     """Error for a name that is not in a list, with the nearest known name.
 
+    The whole list follows where it is short or nothing is near.
+
     Examples
     --------
     >>> str(unknown_name("model", "wrd", ["ward", "lambert"]))
@@ -56,7 +61,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigurationErr
     """
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return ConfigurationError(
-        f"unknown {kind} {name!r}: {hint}Known: {', '.join(names)}.", value=name
-    )
+    parts = [f"did you mean {near[0]!r}?"] if near else []
+    if not near or len(names) <= SHORT_LIST:
+        parts.append(f"Known: {', '.join(names)}.")
+    return ConfigurationError(f"unknown {kind} {name!r}: {' '.join(parts)}", value=name)

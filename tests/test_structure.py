@@ -47,6 +47,7 @@ ALLOWED = {
     "samples": FOUNDATION,
     "session": FOUNDATION,
     "data": {"errors", "files"},
+    "checks": {"errors", "geometry", "samples", "models"},
     "materials": SURFACE,
     "instrument": SURFACE | {"session", "materials"},
     "simulation": SURFACE | {"session", "materials", "instrument"},

@@ -26,6 +26,7 @@ _COMMANDS = {
     "fit": "Fit a reflectance model to BRDF samples.",
     "plot": "Draw BRDF samples or a fit.",
     "evaluate": "Evaluate a model at the directions of a file.",
+    "check": "Check a model or a file: reciprocity, energy, which quantity.",
     "materials": "List the papers' materials, or show one.",
     "models": "List the reflectance models, or show one.",
     "instruments": "List the virtual instruments, or show one.",

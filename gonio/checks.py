@@ -206,7 +206,8 @@ def _first_cells(theta_i: float, phi_i: float) -> FloatArray:
 def _distinct(edges: list[float]) -> FloatArray:
     """Sorted edges without those that rounding doubled."""
     e = np.sort(np.array(edges))
-    return e[np.concatenate([[True], np.diff(e) > 1e-9])]
+    distinct: FloatArray = e[np.concatenate([[True], np.diff(e) > 1e-9])]
+    return distinct
 
 
 def _quartered(cells: FloatArray) -> FloatArray:
@@ -721,7 +722,8 @@ def _rough_albedo(
         mine = index == number
         points = unit_vectors(theta_r[mine], delta[mine])
         distance, nearest = cKDTree(points).query(grid)
-        if np.quantile(distance, 0.9) < 0.35:  # 20 deg
+        # Nine tenths of the projected hemisphere lie within 20 degrees of a sample.
+        if np.sum((weight * np.cos(theta))[distance < 0.35]) > 0.9 * np.pi:
             albedo = float(np.sum(weight * np.cos(theta) * f[mine][nearest]))
             largest = albedo if largest is None else max(largest, albedo)
     return largest

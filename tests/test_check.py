@@ -149,11 +149,13 @@ def test_a_broken_model_is_caught():
     json.dumps(report.describe(), allow_nan=False)
 
 
-def test_a_model_with_a_hidden_nan_is_caught():
-    def kernel(xi, yi, zi, xr, yr, zr, rho):
-        return (math.nan if zi > 0.9 else rho), 1.0
+def holes(xi, yi, zi, xr, yr, zr, rho):
+    """No number where the light falls steeply."""
+    return (math.nan if zi > 0.9 else rho), 1.0
 
-    model = Model("holes", "", "", BROKEN.parameters, kernel)
+
+def test_a_model_with_a_hidden_nan_is_caught():
+    model = Model("holes", "", "", BROKEN.parameters, holes)
     report = check_model(model, n_pairs=200)
     assert not report.finding("reciprocity").passed
     assert not report.finding("positivity").passed
@@ -168,7 +170,7 @@ def directions(turned: bool = False) -> Directions:
     """A grid that holds reciprocal partners; with the sample turned if asked for."""
     theta = np.radians(np.arange(10, 80, 10.0))
     turn = np.radians(np.arange(0, 360, 60.0)) if turned else np.zeros(1)
-    phi = np.radians(np.arange(-180, 180, 60.0))
+    phi = np.radians(np.arange(-180, 180, 30.0))
     grids = np.meshgrid(theta, turn, theta, phi, indexing="ij")
     theta_i, phi_i, theta_r, delta = (grid.ravel() for grid in grids)
     return Directions(theta_i, phi_i, theta_r, phi_i + delta)
@@ -201,7 +203,7 @@ def test_the_quantity_is_recognised(name, turned):
     assert report.candidates[name] == pytest.approx(0.019, abs=0.004)
     assert all(v > 0.2 for other, v in report.candidates.items() if other != name)
     assert report.mirror.n_pairs > 50
-    assert (report.mirror.median > 0.03) == turned or not turned
+    assert (report.mirror.rms > 0.1) == turned
 
 
 def test_a_cosine_of_both_angles_and_a_constant_stay_unseen_and_it_says_so():

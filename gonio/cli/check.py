@@ -35,8 +35,13 @@ _WIDTH = 80
     help="Samples of a file to check, such as wavelength=650 or channel=red.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.pass_context
 def command(
-    target: str, items: tuple[str, ...], selections: tuple[str, ...], as_json: bool
+    context: click.Context,
+    target: str,
+    items: tuple[str, ...],
+    selections: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """Check a model or a file: reciprocity, energy, which quantity.
 
@@ -61,7 +66,7 @@ def command(
     else:
         passed = _check_file(Path(target), items, selections, as_json)
     if not passed:
-        click.get_current_context().exit(1)
+        context.exit(1)
 
 
 def _model_of(target: str, items: tuple[str, ...]) -> tuple[Model | None, dict[str, float]]:
@@ -133,11 +138,12 @@ def _show_model(model: Model, report: ModelReport) -> None:
         else:
             result = "FAILS" if finding.claimed else "no"
         claimed = "yes" if finding.claimed else "no"
-        click.echo(f"{finding.name:<12} {claimed:<8} {result:<8} {finding.text}")
+        start = f"{finding.name:<12} {claimed:<8} {result:<8} "
+        _say(finding.text, start)
         if not finding.holds and finding.where is not None:
             names = ("theta_i", "phi_i", "theta_r", "phi_r")
             where = (f"{n} {a:.5g}" for n, a in zip(names, finding.where, strict=False))
-            click.echo(f"{'':<30} at {', '.join(where)} deg")
+            _say(f"at {', '.join(where)} deg", " " * len(start))
     click.echo(f"\n{'theta_i':>8} {'albedo':>10} {'error':>9}   (phi_i = 0)")
     for theta, albedo in report.albedos.items():
         click.echo(f"{theta:>8g} {albedo.value:>10.5f} {albedo.error:>9.1g}")
@@ -176,14 +182,14 @@ def _show_pairing(name: str, pairing: Pairing) -> None:
     click.echo(f"{name:<28} {pairing.n_pairs:>7} {median:>8} {rms:>8}")
 
 
-def _say(text: str, bullet: str = "") -> None:
-    """A paragraph in 80 columns."""
+def _say(text: str, start: str = "") -> None:
+    """A paragraph in 80 columns, hanging after its start."""
     click.echo(
         textwrap.fill(
             text,
             _WIDTH,
-            initial_indent=bullet,
-            subsequent_indent=" " * len(bullet),
+            initial_indent=start,
+            subsequent_indent=" " * len(start),
             break_on_hyphens=False,
             break_long_words=False,
         )

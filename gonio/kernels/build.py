@@ -3,7 +3,8 @@
 numba caches machine code only for functions that live in a file, so the loops of each model are
 written, header and all, to a file in the cache folder whose name is a hash of every source that
 went into it: a changed model, a changed loop or a changed numba makes a new file, and stale code
-cannot be run. The folder is `GONIO_CACHE_DIR`, else `~/.cache/gonio`.
+cannot be run. A kernel that is written when asked for, such as a sum of models, goes the same way.
+The folder is `GONIO_CACHE_DIR`, else `~/.cache/gonio`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import inspect
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -102,6 +103,41 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return result
 
 
+def generated_module(prefix: str, text: str, ingredients: Iterable[str] = ()) -> ModuleType:
+    """A module with this text, imported from a file in the cache folder.
+
+    Parameters
+    ----------
+    prefix : str
+        Beginning of the file's name; a hash follows.
+    text : str
+        Source of the module.
+    ingredients : iterable of str
+        What the compiled code depends on besides the text; it goes into the hash.
+
+    Returns
+    -------
+    module
+        Registered under its name: numba finds the environment of cached code by it, and one
+        generated module can import another.
+    """
+    digest = hashlib.sha256("\0".join([text, *ingredients]).encode()).hexdigest()[:16]
+    path = _cache_folder() / f"{prefix}_{digest}.py"
+    if not path.exists():
+        with tempfile.NamedTemporaryFile(
+            "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(text)
+        Path(file.name).replace(path)
+    spec = importlib.util.spec_from_file_location(f"gonio_cache_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
 def _render(kernel: Callable[..., Any], n_parameters: int) -> str:
     """Text of the generated module: header, hash of the sources, decorated loops."""
     text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
@@ -138,24 +174,8 @@ def _load(text: str, origin: str) -> ModuleType:
 
     module_name, _, name = origin.rpartition(".")
     kernel = getattr(sys.modules[module_name], name)
-    everything = [numba.__version__, sys.version, text, *_sources(kernel, {}).values()]
-    digest = hashlib.sha256("\0".join(everything).encode()).hexdigest()[:16]
-    stem = f"{module_name.replace('.', '_')}_{digest}"
-    path = _cache_folder() / f"{stem}.py"
-    if not path.exists():
-        with tempfile.NamedTemporaryFile(
-            "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
-        ) as file:
-            file.write(text)
-        Path(file.name).replace(path)
-    # numba finds the environment of cached code by module name: the module must be registered.
-    spec = importlib.util.spec_from_file_location(f"gonio_loops_{stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    ingredients = [numba.__version__, sys.version, *_sources(kernel, {}).values()]
+    return generated_module(module_name.replace(".", "_"), text, ingredients)
 
 
 @cache

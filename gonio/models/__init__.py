@@ -1,6 +1,7 @@
 """Reflectance models: one file is one model, found by looking into this folder.
 
-A file that defines `MODEL = Model(...)` is a model; nothing else has to be told of it.
+A file that defines `MODEL = Model(...)` is a model; nothing else has to be told of it. Names joined
+by "+" are a model too, the sum of theirs.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import pkgutil
 from functools import cache
 
 from gonio.errors import unknown_name
+from gonio.models._sums import SIGN, added, term_names
 from gonio.models.base import Claims, Model, Parameter
 
 __all__ = ["Claims", "Model", "Parameter", "get", "names"]
@@ -27,7 +29,7 @@ def _all() -> dict[str, Model]:
 
 
 def names() -> list[str]:
-    """Names of all models, sorted.
+    """Names of the single models, sorted; any of them may be joined by "+".
 
     Examples
     --------
@@ -43,12 +45,13 @@ def get(name: str) -> Model:
     Parameters
     ----------
     name : str
-        One of `names()`.
+        One of `names()`, or several joined by "+" for their sum. A parameter's name that occurs
+        in several terms then ends in the number of its term: rho_s_1, rho_s_2.
 
     Raises
     ------
     ConfigurationError
-        If there is no such model, with the nearest name.
+        If there is no such model, with the nearest name, or a sum lacks a term.
 
     Examples
     --------
@@ -56,8 +59,18 @@ def get(name: str) -> Model:
     >>> f = get("lambert")(Directions(0.1, 0.0, 0.2, 0.0), rho=0.5)
     >>> round(float(f), 6)
     0.159155
+    >>> get("lambert+ward_duer").names
+    ('rho', 'rho_d', 'rho_s', 'alpha_x', 'alpha_y')
     """
+    if SIGN in name:
+        return _sum(*term_names(name))
     try:
         return _all()[name]
     except KeyError:
         raise unknown_name("model", name, _all()) from None
+
+
+@cache
+def _sum(*terms: str) -> Model:
+    """Made once, so that its loops are compiled once."""
+    return added([get(term) for term in terms])

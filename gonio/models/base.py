@@ -245,13 +245,18 @@ class Model:
                     "symbol": p.symbol,
                     "meaning": p.meaning,
                     "unit": p.file_unit,
-                    "default": p.to_file(p.default),
-                    "lower": p.to_file(p.lower),
-                    "upper": p.to_file(p.upper),
+                    "default": _shown(p.to_file(p.default)),
+                    "lower": _shown(p.to_file(p.lower)),
+                    "upper": _shown(p.to_file(p.upper)),
                 }
                 for p in self.parameters
             ],
         }
+
+
+def _shown(value: float) -> float:
+    """The value to 15 digits, which take back the rounding of degrees to radians and back."""
+    return float(f"{value:.15g}")
 
 
 def _components(w_i: FloatArray, w_r: FloatArray) -> tuple[tuple[FloatArray, ...], tuple[int, ...]]:

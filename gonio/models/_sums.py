@@ -1,0 +1,148 @@
+"""Sums of models: a diffuse base with a lobe of another kind, two specular lobes.
+
+The kernel of a sum is written to a file like the loops around it (docs/adr/0004): numba keeps
+machine code only for functions that live in one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+from gonio.errors import ConfigurationError
+from gonio.kernels.build import generated_module
+from gonio.models.base import Claims, Model, Parameter
+
+SIGN = "+"
+_DIRECTIONS = "xi, yi, zi, xr, yr, zr"
+_TEXT = '''# Written by gonio.models; safe to delete.
+"""Sum of {n} models.
+
+f = {formula}
+
+Each term has the formula and the parameters of its model.
+"""
+{imports}
+
+
+def kernel({directions}, {parameters}):
+    """f and its derivative by every parameter, term by term."""
+{calls}
+    return (
+        {value},
+        {derivatives},
+    )
+'''
+
+
+def term_names(name: str) -> list[str]:
+    """Names of the terms of a sum.
+
+    Raises
+    ------
+    ConfigurationError
+        If a term is empty.
+
+    Examples
+    --------
+    >>> term_names("lambert + ward")
+    ['lambert', 'ward']
+    """
+    found = [term.strip() for term in name.split(SIGN)]
+    if not all(found):
+        raise ConfigurationError(
+            f"the sum {name!r} has an empty term; write the names of two or more models with one "
+            f"'{SIGN}' between them, such as 'lambert+ward'.",
+            value=name,
+        )
+    return found
+
+
+def added(terms: Sequence[Model]) -> Model:
+    """The model whose f is the sum of the terms' f.
+
+    Parameters
+    ----------
+    terms : sequence of Model
+        In the order in which their parameters follow each other.
+
+    Returns
+    -------
+    Model
+        It claims what all terms claim; it has the seams of each and no Lambertian limit.
+    """
+    parameters = joined(terms)
+    names = [[q.name for q in group] for group in parameters]
+    claims = [term.claims for term in terms]
+    return Model(
+        name=SIGN.join(term.name for term in terms),
+        title=" + ".join(term.title for term in terms),
+        reference="; ".join(dict.fromkeys(term.reference for term in terms)),
+        parameters=tuple(q for group in parameters for q in group),
+        kernel=generated_module("sum", _text(terms, names)).kernel,
+        claims=Claims(
+            reciprocal=all(c.reciprocal for c in claims),
+            non_negative=all(c.non_negative for c in claims),
+            isotropic=all(c.isotropic for c in claims),
+            seams=tuple(dict.fromkeys(seam for c in claims for seam in c.seams)),
+        ),
+        validity=_validity(terms),
+    )
+
+
+def _validity(terms: Sequence[Model]) -> str:
+    """What the terms say of themselves, and what holds for their sum."""
+    sentences = [f"{term.name}: {term.validity}" for term in terms]
+    sentences.append(
+        "Of parameters that scale the same shape, such as two diffuse reflectances, data tell only "
+        "the sum."
+    )
+    if len({term.name for term in terms}) < len(terms):
+        sentences.append("Terms of the same model may change places.")
+    return " ".join(dict.fromkeys(sentences))
+
+
+def joined(terms: Sequence[Model]) -> list[tuple[Parameter, ...]]:
+    """The parameters of each term, made unique.
+
+    One whose name occurs in several terms carries the number of its term, counted from 1, in name
+    and symbol; the others keep theirs.
+    """
+    count = Counter(q.name for term in terms for q in term.parameters)
+    return [
+        tuple(_of_term(q, k, term.name, count[q.name] > 1) for q in term.parameters)
+        for k, term in enumerate(terms, 1)
+    ]
+
+
+def _of_term(q: Parameter, k: int, term: str, shared: bool) -> Parameter:
+    number = f"_{k}" if shared else ""
+    return replace(
+        q,
+        name=f"{q.name}{number}",
+        symbol=f"{q.symbol}{number}",
+        meaning=f"{q.meaning} (term {k}, {term})",
+    )
+
+
+def _text(terms: Sequence[Model], names: Sequence[Sequence[str]]) -> str:
+    """Source of the module that holds the kernel of a sum."""
+    numbered = list(enumerate(zip(terms, names, strict=True), 1))
+    return _TEXT.format(
+        n=len(terms),
+        formula=" + ".join(f"{term.name}({', '.join(own)})" for _, (term, own) in numbered),
+        imports="\n".join(
+            f"from {term.kernel.__module__} import {term.kernel.__name__} as term_{k}"
+            for k, (term, _) in numbered
+        ),
+        directions=_DIRECTIONS,
+        parameters=", ".join(name for own in names for name in own),
+        calls="\n".join(
+            f"    f_{k} = term_{k}({_DIRECTIONS}, {', '.join(own)})" for k, (_, own) in numbered
+        ),
+        value=" + ".join(f"f_{k}[0]" for k, _ in numbered),
+        derivatives=", ".join(
+            f"f_{k}[{j}]" for k, (_, own) in numbered for j in range(1, len(own) + 1)
+        ),
+    )

@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-
 SHORT_LIST = 12  # names that a message may list beside a hint
 
 

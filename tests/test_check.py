@@ -11,13 +11,13 @@ from click.testing import CliRunner
 
 from gonio import formats, models
 from gonio.checks import (
-    MIN_PAIRS,
     UNDECIDED,
     bihemispherical_albedo,
     check_model,
     check_samples,
     directional_albedo,
 )
+from gonio.checks.samples import MIN_PAIRS
 from gonio.cli import check as check_command
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import Directions
@@ -263,8 +263,8 @@ def test_garnet_red_is_a_brdf(real_data):
     path = real_data / "cornell" / "garnet_red.brdf"
     report = check_samples(formats.read(path, select={"wavelength": "650"}))
     assert report.quantity == "BRDF"
-    assert report.n_telling >= MIN_PAIRS
-    assert report.candidates["BRDF"] == pytest.approx(0.023, abs=0.004)
+    assert report.n_telling > 200
+    assert report.candidates["BRDF"] == pytest.approx(0.025, abs=0.005)
     assert report.candidates["BRDF*cos(theta_r)"] > 0.5
     # In its dark band the noise hides the quantity.
     dark = check_samples(formats.read(path, select={"wavelength": "400"}))
@@ -335,6 +335,7 @@ def test_check_of_files(files):
     result = run(files["brdf"])
     assert result.exit_code == 0
     assert "Quantity: BRDF\n" in result.stdout
+    assert "partners within 2 deg" in result.stdout
     assert "light and viewer exchanged" in result.stdout
     result = run(files["cosine"])
     assert result.exit_code == 1

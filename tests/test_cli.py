@@ -142,7 +142,7 @@ def test_no_command_is_a_usage_error_with_the_help(gonio):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("simulat", "unknown command 'simulat': did you mean 'simulate'? Known: doctor, "),
+        ("simulat", "unknown command 'simulat': did you mean 'simulate'? Known: check, doctor, "),
         ("--versio", "No such option '--versio'."),
         ("simulate foam", "Missing option '-o' / '--output'."),
         ("simulate foam -o OUT --seed x", "Invalid value for '--seed': 'x' is not a valid integer"),

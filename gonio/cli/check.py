@@ -162,7 +162,8 @@ def _show_model(model: Model, report: ModelReport) -> None:
 
 def _show_samples(path: Path, report: SamplesReport) -> None:
     _say(f"{path}: {report.n_samples} samples, {report.n_negative} of them negative.")
-    click.echo(f"\n{'pairs that should agree':<28} {'pairs':>7} {'median':>8} {'rms':>8}")
+    within = f"partners within {report.tolerance_deg:g} deg"
+    click.echo(f"\n{within:<28} {'pairs':>7} {'median':>8} {'rms':>8}")
     _show_pairing("light and viewer exchanged", report.reciprocity)
     _show_pairing("phi_r - phi_i = +x and -x", report.mirror)
     click.echo(f"\n{'if the values are':<28} {'pairs':>7} {'median':>8}   of reciprocal pairs")

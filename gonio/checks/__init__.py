@@ -1,0 +1,19 @@
+"""Checks of models and of measured samples: reciprocity, sign, energy, symmetry, quantity."""
+
+from gonio.checks.albedo import Albedo, bihemispherical_albedo, directional_albedo
+from gonio.checks.model import Finding, ModelReport, check_model
+from gonio.checks.samples import BRDF, UNDECIDED, Pairing, SamplesReport, check_samples
+
+__all__ = [
+    "BRDF",
+    "UNDECIDED",
+    "Albedo",
+    "Finding",
+    "ModelReport",
+    "Pairing",
+    "SamplesReport",
+    "bihemispherical_albedo",
+    "check_model",
+    "check_samples",
+    "directional_albedo",
+]

@@ -26,7 +26,8 @@ python benchmarks/accuracy_page.py
 ```
 
 The error is (recovered - true) in per cent of the true value; z is the same in stated standard
-uncertainties, with all that the samples share (standard, lamp, mapping, source cone) inside.
+uncertainties, with all that the samples share (standard, lamp, mapping, source cone, dome slope,
+multi-bounce) inside.
 """
 
 NOTES = {

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gonio.calibration import cells, lens, reflector, standard
 from gonio.calibration.exposure import Rate, average, merge
+from gonio.calibration.shared_terms import shared_terms
 from gonio.errors import DataError
 from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated, unit_vectors
 from gonio.kernels.threads import default_threads
-from gonio.samples import FLAG_PARTIAL, BRDFSamples, Cells, SharedTerm
+from gonio.samples import FLAG_PARTIAL, BRDFSamples, Cells
 from gonio.session import Metadata, Session
 
 Progress = Callable[[int, int], None]
@@ -61,7 +62,7 @@ def reduce(
     plan = session.metadata.plan
     incidences = range(len(plan.theta_i_deg))
     n_images = len(incidences) * len(plan.rotations_deg)
-    parts: list[_Part] = []
+    parts: list[Part] = []
     with ThreadPoolExecutor(threads or default_threads()) as pool:
         work = pool.map(lambda i: list(_reduce_incidence(session, table, i)), incidences)
         for done in work:
@@ -85,7 +86,7 @@ class _PixelTable:
 
 
 @dataclass(frozen=True)
-class _Part:
+class Part:
     """The cells of one image, frame of the sample."""
 
     theta_i: float
@@ -165,7 +166,7 @@ def _solid_angles(metadata: Metadata, columns: ArrayLike, rows: ArrayLike) -> Fl
     return np.asarray(solid_angle * ratio)
 
 
-def _reduce_incidence(session: Session, table: _PixelTable, incidence: int) -> Iterator[_Part]:
+def _reduce_incidence(session: Session, table: _PixelTable, incidence: int) -> Iterator[Part]:
     """All rotations of one incidence, which share background and standard."""
     metadata = session.metadata
     plan, camera = metadata.plan, metadata.camera
@@ -191,7 +192,7 @@ def _reduce_image(
     measured: Rate,
     incidence: int,
     rotation: int,
-) -> _Part:
+) -> Part:
     f = standard.brdf(measured, ref)
     # Splits and weights follow a median-filtered guide, not the noise that is averaged.
     guide = cells.median(f)
@@ -214,7 +215,7 @@ def _reduce_image(
     geometry = metadata.geometry
     shift = reflector.mapping_error(centroid, R=geometry.R, D=geometry.D, shape=geometry.shape)
     psi = np.radians(metadata.plan.rotations_deg[rotation])
-    return _Part(
+    return Part(
         theta_i=float(np.radians(metadata.plan.theta_i_deg[incidence])),
         psi=float(psi),
         incidence=incidence,
@@ -245,7 +246,7 @@ def _at_own_value(means: FloatArray) -> FloatArray:
     return np.stack([means[0], own, shared * np.clip(ratio, 0.7, 1.4) ** 2, slope])
 
 
-def _collect(metadata: Metadata, parts: list[_Part]) -> BRDFSamples:
+def _collect(metadata: Metadata, parts: list[Part]) -> BRDFSamples:
     """Put the images' cells together, with the errors they share."""
     parts = [part for part in parts if part.means.shape[1]]
     if not parts:
@@ -273,7 +274,7 @@ def _collect(metadata: Metadata, parts: list[_Part]) -> BRDFSamples:
         noise_slope=slope,
         u_reference=np.sqrt(shared),
         reference_sharing=rotations,
-        shared=_shared_terms(metadata, parts, image, incidence),
+        shared=shared_terms(metadata, parts, image, incidence),
         solid_angle=np.concatenate([part.solid_angle for part in parts]),
         flags=(partial * FLAG_PARTIAL).astype(np.uint8),
         image=image,
@@ -287,98 +288,7 @@ def _collect(metadata: Metadata, parts: list[_Part]) -> BRDFSamples:
     )
 
 
-def _shared_terms(
-    metadata: Metadata,
-    parts: list[_Part],
-    image: NDArray[np.int64],
-    incidence: NDArray[np.int64],
-) -> tuple[SharedTerm, ...]:
-    terms = [
-        SharedTerm(
-            "mapping",
-            "what eq. (3) leaves out on this dome, to leading order",
-            shift=np.concatenate([part.shift for part in parts]),
-        )
-    ]
-    source = np.radians(metadata.lamp.half_angle_deg) / 2  # sd of a uniform disc on each axis
-    if source:
-        terms.append(SharedTerm("source cone", "the lamp's finite half-angle", blur=source))
-    terms += _slope_terms(metadata, parts, incidence)
-    if metadata.limits.multibounce:
-        share = metadata.limits.multibounce * metadata.standard.reflectance
-        terms.append(SharedTerm("multi-bounce", "light that reaches the sample twice", share))
-    if metadata.standard.uncertainty:
-        terms.append(
-            SharedTerm(
-                "standard", "reflectance of the white standard", metadata.standard.uncertainty
-            )
-        )
-    if metadata.standard.rolloff_uncertainty:
-        theta_r = angles(np.concatenate([part.centroid for part in parts]))[0]
-        terms.append(
-            SharedTerm(
-                "standard, shape",
-                "how the standard departs from a Lambertian one at high angles",
-                metadata.standard.rolloff_uncertainty,
-                profile=(theta_r / np.radians(75)) ** 4,
-            )
-        )
-    if metadata.lamp.drift:
-        drift = metadata.lamp.drift
-        terms.append(SharedTerm("lamp, sample", "lamp output, image to image", drift, image))
-        # The standard's image is averaged over its repeats and serves every rotation.
-        averaged = drift / np.sqrt(metadata.plan.repeats)
-        terms.append(
-            SharedTerm("lamp, standard", "lamp output when the standard was taken", averaged,
-                       incidence)
-        )  # fmt: skip
-    return tuple(terms)
-
-
-def _slope_terms(
-    metadata: Metadata, parts: list[_Part], incidence: NDArray[np.int64]
-) -> list[SharedTerm]:
-    """What unknown, smooth slope errors of the dome do to a lobe.
-
-    They shift directions by 2 e, alike over a correlation length L: a lobe is moved as a whole and
-    stretched by 2 e / L, in the plane of incidence and across. Incidences L apart see other parts
-    of the dome; rotations of the sample at one incidence see the same.
-    """
-    limits = metadata.limits
-    if not (limits.slope_error_deg or limits.rim_slope_error_deg):
-        return []
-    reach = np.radians(limits.slope_correlation_deg)
-    moved: list[FloatArray] = []
-    stretched: list[FloatArray] = []
-    across: list[FloatArray] = []
-    for part in parts:
-        rim = (part.theta_i / (np.pi / 2)) ** 6
-        size = 2 * np.radians(limits.slope_error_deg + limits.rim_slope_error_deg * rim)
-        mirror = np.array([-np.sin(part.theta_i), 0.0, np.cos(part.theta_i)])
-        axes = (np.array([np.cos(part.theta_i), 0.0, np.sin(part.theta_i)]), np.array([0, 1.0, 0]))
-        lab = rotated(part.centroid, -part.psi)
-        shifts = [size * axes[0] * np.ones((len(lab), 1))]
-        for axis in axes:
-            # Beyond L the error is another one: it grows no further.
-            distance = np.clip((lab - mirror) @ axis, -reach, reach)
-            shifts.append(size / reach * distance[:, None] * axis)
-        for kept, shift in zip((moved, stretched, across), shifts, strict=True):
-            # Only the part across the direction turns it.
-            shift = shift - np.sum(shift * lab, axis=1, keepdims=True) * lab
-            kept.append(rotated(shift, part.psi))
-    theta_i = np.radians(metadata.plan.theta_i_deg)
-    group = np.floor(theta_i / reach).astype(np.int64)[incidence]
-    meanings = ("moves the lobe", "stretches the lobe in the plane of incidence", "and across it")
-    names = ("dome slope, shift", "dome slope, in plane", "dome slope, across")
-    return [
-        SharedTerm(
-            name, f"slope errors of the dome: {meaning}", group=group, shift=np.concatenate(s)
-        )
-        for name, meaning, s in zip(names, meanings, (moved, stretched, across), strict=True)
-    ]
-
-
-def _history(metadata: Metadata, parts: list[_Part], n: int) -> tuple[str, ...]:
+def _history(metadata: Metadata, parts: list[Part], n: int) -> tuple[str, ...]:
     geometry = metadata.geometry
     masked = {
         "saturated": sum(part.n_saturated for part in parts),

@@ -123,6 +123,15 @@ def test_a_lamp_that_drifts_between_images_averages_out():
     assert rho.components["lamp"] == pytest.approx(0.03 * rho.value / np.sqrt(10), rel=0.01)
 
 
+def test_a_profile_weighs_the_samples():
+    half = np.repeat([0.0, 1.0], 100)
+    term = SharedTerm("standard, shape", "shape of the standard", relative=0.04, profile=half)
+    result = gonio.fit(noisy("lambert", {"rho": 0.5}, shared=(term,)), model="lambert")
+    rho = result.parameters["rho"]
+    # Half of the samples move by 4 %, each as good as the others.
+    assert rho.components["standard, shape"] == pytest.approx(0.02 * rho.value, rel=0.01)
+
+
 def test_a_shift_moves_the_parameters_as_a_refit_does():
     where = directions(400)
     _, w_r = where.vectors()

@@ -299,3 +299,39 @@ def test_masked_pixels_are_missing_from_the_solid_angles(tmp_path):
         np.radians(40), 0.0
     )
     assert np.all(near[partial] > np.cos(np.radians(25)))
+
+
+def test_slope_errors_move_and_stretch_a_lobe_but_not_beyond_their_size(tmp_path):
+    dome = {"slope_error_deg": 0.05, "rim_slope_error_deg": 0.0, "slope_correlation_deg": 10.0}
+    session = record(tmp_path / "s", small(dome=dome), rotations_deg=(0.0, 90.0))
+    samples = gonio.reduce(session)
+    terms = {t.name: t for t in samples.shared if t.name.startswith("dome slope")}
+    assert set(terms) == {"dome slope, shift", "dome slope, in plane", "dome slope, across"}
+    w_i, w_r = samples.directions.vectors()
+    mirror = w_i * [-1, -1, 1]
+    apart = np.linalg.norm(w_r - mirror, axis=1)
+    largest = 2 * np.radians(0.05)  # a mirror doubles its slope
+    for term in terms.values():
+        size = np.linalg.norm(term.shift, axis=1)
+        assert size.max() <= largest * (1 + 1e-9)
+        # A change of direction is across it.
+        assert np.max(np.abs(np.sum(term.shift * w_r, axis=1))) < 1e-12
+        # Incidences 30 deg apart see other parts of the dome, rotations the same.
+        assert len(np.unique(term.group)) == 3
+    # A stretch leaves the lobe's centre where it is and grows to the full size L away.
+    for name in ("dome slope, in plane", "dome slope, across"):
+        size = np.linalg.norm(terms[name].shift, axis=1)
+        assert np.all(size <= largest * apart / np.radians(10.0) * (1 + 1e-9))
+
+
+def test_the_shape_of_an_uncertified_standard_is_an_uncertainty(tmp_path):
+    rig = small(standard={"rolloff": 0.1, "rolloff_certified": False, "rolloff_uncertainty": 0.1})
+    samples = gonio.reduce(record(tmp_path / "s", rig))
+    (term,) = (t for t in samples.shared if t.name == "standard, shape")
+    change = term.relative * term.profile
+    # f comes out high by the standard's loss, 1 / (1 - 0.1 (theta_r / 75 deg)^4), to first order.
+    excess = samples.value / (RHO / np.pi) - 1
+    noise = samples.u_independent / samples.value
+    expected = 1 / (1 - 0.1 * (samples.directions.theta_r / np.radians(75)) ** 4) - 1
+    assert np.all(np.abs(excess - expected) < 5 * noise)
+    assert np.all(np.abs(excess - change) < 5 * noise + 1.3 * change**2)

@@ -336,7 +336,7 @@ def test_one_version() -> None:
 # ---------------------------------------------------------------- the text of the project
 
 PACKAGE_SOURCE = re.compile(
-    r"pypi\.org|files\.pythonhosted|deb\.debian\.org|registry\.npmjs"
+    r"p[y]pi\.org|pythonh[o]sted|deb\.d[e]bian|registry\.n[p]mjs"
     r"|--(?:extra-)?index-url|--[f]ind-links|--[t]rusted-host"
 )
 # An absolute path that begins where people and machines keep their own files.

@@ -51,6 +51,26 @@ def default_plan(instrument: Instrument, *, anisotropic: bool) -> Plan:
     )
 
 
+def is_anisotropic(model: Model, parameters: Mapping[str, float]) -> bool:
+    """Whether turning the surface about its normal changes what it reflects.
+
+    Not where the model claims so, nor where alpha_x = alpha_y.
+
+    Parameters
+    ----------
+    model : Model
+    parameters : mapping
+        All of its parameters.
+
+    Examples
+    --------
+    >>> is_anisotropic(get_model("ward"), {"alpha_x": 0.1, "alpha_y": 0.1})
+    False
+    """
+    alike = "alpha_x" in parameters and parameters["alpha_x"] == parameters.get("alpha_y")
+    return not (model.claims.isotropic or alike)
+
+
 def simulate(
     material: str | None = None,
     *,
@@ -100,11 +120,12 @@ def simulate(
         raise ConfigurationError(f"seed = {seed} is out of range; allowed is 0 to 2^63 - 1.")
     surface = _surface(material, model, parameters)
     rig = load(instrument) if isinstance(instrument, str) else instrument
-    plan = plan or default_plan(rig, anisotropic=not surface.isotropic)
+    named = dict(zip(surface.model.names, surface.p.tolist(), strict=True))
+    plan = plan or default_plan(rig, anisotropic=is_anisotropic(surface.model, named))
     recipe = {
         "version": __version__,
         "model": surface.model.name,
-        "parameters": dict(zip(surface.model.names, surface.p.tolist(), strict=True)),
+        "parameters": named,
         "instrument": rig.model_dump(mode="json"),
         "plan": plan.model_dump(mode="json"),
         "seed": seed,
@@ -122,13 +143,6 @@ class _Surface:
     name: str
     model: Model
     p: FloatArray
-
-    @property
-    def isotropic(self) -> bool:
-        """Isotropic by the model's claim, or by alpha_x = alpha_y."""
-        value = dict(zip(self.model.names, self.p, strict=True))
-        alike = "alpha_x" in value and value["alpha_x"] == value.get("alpha_y")
-        return self.model.claims.isotropic or alike
 
 
 def _surface(

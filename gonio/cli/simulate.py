@@ -85,11 +85,11 @@ def command(
     """
     from gonio.cli.progress import progress
     from gonio.instrument import load
-    from gonio.simulation import simulate
+    from gonio.simulation import is_anisotropic, simulate
 
     chosen, parameters = _surface(material, model, items)
     rig = load(instrument)
-    plan = _plan(rig, theta_i, rotations, anisotropic=_anisotropic(chosen, parameters))
+    plan = _plan(rig, theta_i, rotations, anisotropic=is_anisotropic(chosen, parameters))
     there = _frames_there(output)
     name = material or chosen.name
     try:
@@ -135,11 +135,6 @@ def _surface(
         defaults = ", ".join(f"{p.name} = {file_text(p, p.default)}" for p in left_out)
         click.echo(f"Default values are used for {defaults}.", err=True)
     return chosen, {**{p.name: p.default for p in left_out}, **parameters}
-
-
-def _anisotropic(model: Model, parameters: dict[str, float]) -> bool:
-    alike = "alpha_x" in parameters and parameters["alpha_x"] == parameters.get("alpha_y")
-    return not (model.claims.isotropic or alike)
 
 
 def _plan(

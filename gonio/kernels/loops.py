@@ -71,10 +71,13 @@ def cell_values(w_i, w_r, weight, offsets, first, p, out):
             owner[n], share[n] = k, weight[m]
             n += 1
             if n == BLOCK:
-                _values(s, n, q)
-                for t in range(n):
-                    out[owner[t]] += share[t] * s[6, t]
+                _add_values(s, q, owner, share, n, out)
                 n = 0
+    _add_values(s, q, owner, share, n, out)
+
+
+def _add_values(s, q, owner, share, n, out):
+    """Evaluate n members and add them to their samples."""
     _values(s, n, q)
     for t in range(n):
         out[owner[t]] += share[t] * s[6, t]

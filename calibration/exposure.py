@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gonio.geometry import FloatArray
-from gonio.session import Camera
+from gonio.metadata import Camera
 
 GUARD = 0.9
 SATURATED = 0.98

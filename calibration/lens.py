@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gonio.geometry import FloatArray
-from gonio.session import Camera, LensCalibration
+from gonio.metadata import Camera, LensCalibration
 
 
 def pixel_positions(

@@ -16,8 +16,9 @@ from gonio.calibration.shared_terms import shared_terms
 from gonio.errors import DataError
 from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated, unit_vectors
 from gonio.kernels.threads import default_threads
+from gonio.metadata import Metadata
 from gonio.samples import FLAG_PARTIAL, BRDFSamples, Cells
-from gonio.session import Metadata, Session
+from gonio.session import Session
 
 Progress = Callable[[int, int], None]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.geometry import FloatArray, angles, rotated
+from gonio.metadata import Metadata
 from gonio.samples import SharedTerm
-from gonio.session import Metadata
 
 if TYPE_CHECKING:
     from gonio.calibration.reduction import Part
@@ -38,7 +38,9 @@ def shared_terms(
             shift=np.concatenate([part.shift for part in parts]),
         )
     ]
-    source = np.radians(metadata.lamp.half_angle_deg) / 2  # sd of a uniform disc on each axis
+    source = (
+        np.radians(metadata.lamp.half_angle_deg or 0.0) / 2
+    )  # sd of a uniform disc on each axis
     if source:
         terms.append(SharedTerm("source cone", "the lamp's finite half-angle", blur=source))
     terms += _slope_terms(metadata, parts, incidence)
@@ -83,7 +85,8 @@ def _slope_terms(
     of the dome; rotations of the sample at one incidence see the same.
     """
     limits = metadata.limits
-    if not (limits.slope_error_deg or limits.rim_slope_error_deg):
+    slope, rim_slope = limits.slope_error_deg or 0.0, limits.rim_slope_error_deg or 0.0
+    if not (slope or rim_slope):
         return []
     reach = np.radians(limits.slope_correlation_deg)
     moved: list[FloatArray] = []
@@ -91,7 +94,7 @@ def _slope_terms(
     across: list[FloatArray] = []
     for part in parts:
         rim = (part.theta_i / (np.pi / 2)) ** 6
-        size = 2 * np.radians(limits.slope_error_deg + limits.rim_slope_error_deg * rim)
+        size = 2 * np.radians(slope + rim_slope * rim)
         mirror = np.array([-np.sin(part.theta_i), 0.0, np.cos(part.theta_i)])
         axes = (np.array([np.cos(part.theta_i), 0.0, np.sin(part.theta_i)]), np.array([0, 1.0, 0]))
         lab = rotated(part.centroid, -part.psi)

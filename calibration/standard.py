@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter
 
 from gonio.calibration.exposure import Rate
 from gonio.geometry import FloatArray
-from gonio.session import Certificate
+from gonio.metadata import Certificate
 
 ENTRY_SHARE = 0.1  # background above this share of the standard's signal marks the entry patch
 MIN_SIGNAL = 25.0  # standard deviations that the standard must stand above the background

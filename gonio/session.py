@@ -17,135 +17,21 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.files import write_text
+from gonio.metadata import ROLES, SCHEMA, Metadata, Plan
 
-SCHEMA = "gonio.session/1"
 MAX_FRAME_PIXELS = 1 << 28
 MAX_FRAMES = 1 << 24
 
-Role = Literal["background", "standard", "sample"]
-ROLES: tuple[Role, ...] = ("background", "standard", "sample")
 Frame = NDArray[np.uint16]
-
-
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Geometry(_Record):
-    """The dome as its builder knows it; lengths in mm."""
-
-    shape: Literal["sphere", "ellipsoid"]
-    R: float = Field(gt=0)
-    D: float = Field(gt=0)
-    usable_theta_r_deg: float = Field(gt=0, le=90)
-
-
-class LensCalibration(_Record):
-    """Pixel to angle: position on the sensor = centre + pitch (pixel), r = f(theta)."""
-
-    projection: Literal["equidistant", "equisolid", "kannala_brandt"]
-    focal_length_mm: float = Field(gt=0)
-    k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    field_deg: float = Field(default=180.0, gt=0, le=180)
-
-
-class Camera(_Record):
-    """The frames' pixels: binned figures, as the counts in the frames are."""
-
-    rows: int = Field(gt=0)
-    columns: int = Field(gt=0)
-    pitch_mm: tuple[float, float]
-    gain_dn_per_e: float = Field(gt=0)
-    black_dn: float = Field(ge=0)
-    saturation_dn: int = Field(gt=0, le=65535)
-    full_well_e: float = Field(gt=0)
-    noise_dn: float = Field(ge=0)
-    dark_e_per_s: float = Field(ge=0)
-
-
-class Certificate(_Record):
-    """The white standard's certificate: f = reflectance/pi (1 - rolloff (theta_r/75 deg)^4)."""
-
-    reflectance: float = Field(gt=0, le=1)
-    uncertainty: float = Field(ge=0, description="relative standard uncertainty")
-    rolloff: float = Field(default=0.0, ge=0)
-    rolloff_uncertainty: float = Field(default=0.0, ge=0)
-
-
-class LampRecord(_Record):
-    """What is known of the lamp."""
-
-    half_angle_deg: float = Field(ge=0)
-    drift: float = Field(ge=0, description="relative sd of the output, image to image")
-
-
-class Limits(_Record):
-    """What the instrument is known to do to the light and the reduction does not correct."""
-
-    slope_error_deg: float = Field(default=0.0, ge=0, description="sd of the dome's surface slope")
-    rim_slope_error_deg: float = Field(
-        default=0.0, ge=0, description="added to it at the rim, as (theta/90 deg)^6"
-    )
-    slope_correlation_deg: float = Field(
-        default=10.0, gt=0, description="distance over which slope errors are alike"
-    )
-    multibounce: float = Field(
-        default=0.0, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
-    )
-
-
-class Plan(_Record):
-    """Which frames are taken: angles in degrees, exposures in seconds."""
-
-    theta_i_deg: tuple[float, ...] = Field(min_length=1)
-    rotations_deg: tuple[float, ...] = Field(min_length=1)
-    exposures_s: tuple[float, ...] = Field(min_length=1)
-    repeats: int = Field(default=1, ge=1, description="takes of each background and standard frame")
-
-    def takes(self, role: str) -> int:
-        """Rotations for the sample, repeats for background and standard."""
-        return len(self.rotations_deg) if role == "sample" else self.repeats
-
-    def images(self) -> Iterator[tuple[Role, int, int]]:
-        """(role, take, incidence) in the order in which they are taken."""
-        for role in ROLES:
-            for take in range(self.takes(role)):
-                for incidence in range(len(self.theta_i_deg)):
-                    yield role, take, incidence
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames of a complete session."""
-        takes = sum(self.takes(role) for role in ROLES)
-        return takes * len(self.theta_i_deg) * len(self.exposures_s)
-
-
-class Metadata(_Record):
-    """Everything that calibration may know, for a simulated or a real rig."""
-
-    schema_: str = Field(default=SCHEMA, alias="schema")
-    instrument: str
-    sample: str = Field(description="name of the sample, as the operator wrote it")
-    geometry: Geometry
-    lens: LensCalibration
-    camera: Camera
-    standard: Certificate
-    lamp: LampRecord
-    limits: Limits = Limits()
-    plan: Plan
-    fingerprint: str = Field(
-        default="", description="hash of what made the session; resuming checks it"
-    )
 
 
 class Session:

@@ -19,9 +19,7 @@ from gonio.files import write_text
 from gonio.geometry import FloatArray, rotated
 from gonio.instrument import Instrument, load
 from gonio.materials import get as get_material
-from gonio.models import Model
-from gonio.models import get as get_model
-from gonio.session import (
+from gonio.metadata import (
     Camera,
     Certificate,
     Geometry,
@@ -30,8 +28,10 @@ from gonio.session import (
     Limits,
     Metadata,
     Plan,
-    Session,
 )
+from gonio.models import Model
+from gonio.models import get as get_model
+from gonio.session import Session
 
 N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, section 4.2)
 ANISOTROPIC_ROTATIONS_DEG = (0.0, 45.0, 90.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gonio.calibration.exposure import Rate, average, merge
-from gonio.session import Camera
+from gonio.metadata import Camera
 
 TIMES = (0.25e-3, 1e-3, 4e-3, 16e-3, 64e-3, 256e-3)
 GAIN, BLACK, NOISE = 0.38, 64.0, 0.38 * 2.3

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from gonio import models, simulation
 from gonio.geometry import angles, hemisphere_quadrature, unit_vectors
 from gonio.instrument import Instrument, imaging, preset
-from gonio.session import Plan
+from gonio.metadata import Plan
 
 LAMBERT, WARD = models.get("lambert"), models.get("ward")
 

@@ -5,7 +5,7 @@ import pytest
 
 from gonio.calibration.lens import camera_angles
 from gonio.instrument import Lens
-from gonio.session import LensCalibration
+from gonio.metadata import LensCalibration
 
 K = (-0.012, 0.004, -0.0015, 0.0002)
 LENSES = {

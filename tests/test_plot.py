@@ -20,12 +20,13 @@ from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.result import Estimate, FitResult, PosteriorSummary
 from gonio.geometry import Directions
 from gonio.instrument import Instrument, preset
+from gonio.metadata import Plan
 from gonio.plot.frames import pixel_of
 from gonio.plot.lobe import in_plane
 from gonio.plot.style import DPI
 from gonio.plot.summary import recovered
 from gonio.samples import BRDFSamples
-from gonio.session import Plan, Session
+from gonio.session import Session
 
 SHINY = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.15, "alpha_y": 0.2}
 

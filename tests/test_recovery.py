@@ -10,8 +10,9 @@ import pytest
 import gonio
 from gonio.instrument import Instrument, preset
 from gonio.materials import get
+from gonio.metadata import Plan
 from gonio.models import get as get_model
-from gonio.session import Plan, read_truth
+from gonio.session import read_truth
 
 
 def coarse(name: str) -> Instrument:

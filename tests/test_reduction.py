@@ -11,8 +11,9 @@ from gonio.calibration.reflector import camera_angles, solid_angle_ratio
 from gonio.errors import DataError
 from gonio.geometry import unit_vectors
 from gonio.instrument import Instrument, preset
+from gonio.metadata import Plan
 from gonio.samples import BRDFSamples
-from gonio.session import Plan, Session
+from gonio.session import Session
 
 EXPOSURES = (0.25e-3, 1e-3, 4e-3, 16e-3, 64e-3, 256e-3)
 RHO = 0.6

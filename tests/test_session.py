@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from gonio.errors import ConfigurationError, DataError
-from gonio.session import (
+from gonio.metadata import (
     Camera,
     Certificate,
     Geometry,
@@ -18,9 +18,8 @@ from gonio.session import (
     LensCalibration,
     Metadata,
     Plan,
-    Session,
-    read_truth,
 )
+from gonio.session import Session, read_truth
 
 SHAPE = (20, 24)
 PLAN = Plan(theta_i_deg=(0.0, 30.0), rotations_deg=(0.0, 90.0), exposures_s=(0.01, 0.04), repeats=1)

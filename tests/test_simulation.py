@@ -14,7 +14,8 @@ import gonio
 from gonio import simulation
 from gonio.errors import ConfigurationError
 from gonio.instrument import Instrument, preset
-from gonio.session import Plan, Session, read_truth
+from gonio.metadata import Plan
+from gonio.session import Session, read_truth
 
 PLAN = Plan(
     theta_i_deg=(0.0, 40.0),
@@ -120,7 +121,7 @@ class TestInterruption:
             import json, sys, time
             import gonio
             from gonio.instrument import Instrument
-            from gonio.session import Plan
+            from gonio.metadata import Plan
 
             recipe = json.load(open(sys.argv[1]))
 

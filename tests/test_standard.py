@@ -7,7 +7,7 @@ from gonio import models
 from gonio.calibration.exposure import Rate
 from gonio.calibration.standard import brdf, reference, standard_brdf, variances
 from gonio.instrument import Instrument, imaging, preset
-from gonio.session import Certificate
+from gonio.metadata import Certificate
 
 WARD = models.get("ward")
 METAL = WARD.vector({"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.1, "alpha_y": 0.2})

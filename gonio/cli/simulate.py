@@ -11,8 +11,9 @@ from gonio.errors import ConfigurationError, SessionInterruptedError
 
 if TYPE_CHECKING:
     from gonio.instrument import Instrument
+    from gonio.metadata import Plan
     from gonio.models import Model
-    from gonio.session import Plan, Session
+    from gonio.session import Session
 
 
 @click.command(name="simulate")

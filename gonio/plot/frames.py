@@ -14,8 +14,9 @@ from gonio.calibration import lens, reflector
 from gonio.calibration.exposure import merge
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray
+from gonio.metadata import Metadata
 from gonio.plot.style import ORANGE, SKY, VERMILLION, _new_figure, nothing_to_draw, style
-from gonio.session import Metadata, Session
+from gonio.session import Session
 
 CIRCLES_DEG = (30.0, 60.0)
 LEAST_PERCENTILE = 0.5  # of the rates inside the rim; a third of that is black

@@ -1,0 +1,281 @@
+"""What a rig knows of itself, of its frames and of how they were taken.
+
+Records that calibration reads, written by the simulator or by the operator of a rig. Unknown is
+None and never 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+SCHEMA = "gonio.session/1"
+
+Role = Literal["background", "standard", "sample"]
+ROLES: tuple[Role, ...] = ("background", "standard", "sample")
+GEOMETRY_FIGURES = ("R", "D", "pupil_x", "pupil_y", "pupil_z", "camera_azimuth")
+LENS_FIGURES = ("focal_length", "k1", "k2", "k3", "k4", "centre_x", "centre_y")
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Uncertain(_Record):
+    """Covariance of some figures of a calibration, in the units of their fields."""
+
+    names: tuple[str, ...] = Field(min_length=1, description="the figures, in this order")
+    covariance: tuple[tuple[float, ...], ...] = Field(description="a row for each name")
+
+    @model_validator(mode="after")
+    def _square(self) -> Uncertain:
+        n = len(self.names)
+        if len(set(self.names)) < n:
+            raise ValueError("names must differ")
+        matrix = self.covariance
+        if len(matrix) != n or any(len(row) != n for row in matrix):
+            raise ValueError(f"covariance must have {n} rows of {n} numbers, as names has {n}")
+        array = np.array(matrix)
+        scale = np.sqrt(np.outer(array.diagonal(), array.diagonal()).clip(0))
+        if (array.diagonal() < 0).any() or (abs(array - array.T) > 1e-9 * scale).any():
+            raise ValueError("covariance must be symmetric with variances on its diagonal")
+        return self
+
+
+class Geometry(_Record):
+    """The dome and the camera's place in it; lengths in mm, angles in degrees."""
+
+    shape: Literal["sphere", "ellipsoid"]
+    R: float = Field(gt=0, description="radius of the sphere, semi-minor axis of the ellipsoid")
+    D: float = Field(gt=0, description="half the separation of camera and target")
+    usable_theta_r_deg: float = Field(gt=0, le=90)
+    pupil_mm: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="entrance pupil from its nominal place (0, -D, 0)"
+    )
+    pupil_walk_mm: float = Field(
+        default=0.0, description="rise of the entrance pupil at 90 deg, as (theta/90 deg)^2"
+    )
+    camera_azimuth_deg: float = Field(
+        default=0.0, description="turn of the camera about the normal, counter-clockwise"
+    )
+    uncertain: Uncertain | None = Field(
+        default=None,
+        description="of R, D, pupil_x, pupil_y, pupil_z (mm), camera_azimuth (deg); "
+        "not given means unknown",
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> Geometry:
+        _check_names(self.uncertain, GEOMETRY_FIGURES)
+        return self
+
+
+class LensCalibration(_Record):
+    """Pixel to angle: position on the sensor = pitch (pixel - centre), r = f(theta)."""
+
+    projection: Literal["equidistant", "equisolid", "kannala_brandt"]
+    focal_length_mm: float = Field(gt=0)
+    k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    field_deg: float = Field(default=180.0, gt=0, le=180)
+    centre_px: tuple[float, float] | None = Field(
+        default=None, description="column and row of the axis; the middle of the frame if not given"
+    )
+    uncertain: Uncertain | None = Field(
+        default=None,
+        description="of focal_length (mm), k1 to k4, centre_x, centre_y (px); "
+        "not given means unknown",
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> LensCalibration:
+        _check_names(self.uncertain, LENS_FIGURES)
+        return self
+
+
+class Camera(_Record):
+    """The frames' pixels: binned figures, as the counts in the frames are."""
+
+    rows: int = Field(gt=0)
+    columns: int = Field(gt=0)
+    pitch_mm: tuple[float, float]
+    gain_dn_per_e: float = Field(gt=0)
+    black_dn: float = Field(ge=0)
+    saturation_dn: int = Field(gt=0, le=65535)
+    full_well_e: float = Field(gt=0)
+    noise_dn: float = Field(ge=0)
+    dark_e_per_s: float = Field(ge=0)
+    gamma: float = Field(
+        default=1.0,
+        gt=0.2,
+        le=2,
+        description="response: counts above black are gain full_well (e-/full_well)^gamma",
+    )
+
+
+class StandardTable(_Record):
+    """f of the standard over its reflectance/pi, on a grid of directions.
+
+    Linear interpolation; outside the grid the nearest value holds. A grid with one theta_i holds
+    for every incidence, one with one dphi for every azimuth.
+    """
+
+    theta_i_deg: tuple[float, ...] = Field(min_length=1, max_length=1000)
+    theta_r_deg: tuple[float, ...] = Field(min_length=1, max_length=1000)
+    dphi_deg: tuple[float, ...] = Field(
+        default=(0.0,), min_length=1, max_length=1000, description="phi_r - phi_i, 0 to 180"
+    )
+    factor: tuple[tuple[tuple[float, ...], ...], ...] = Field(
+        description="factor[theta_i][theta_r][dphi]"
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> StandardTable:
+        axes = {
+            "theta_i_deg": (self.theta_i_deg, 90),
+            "theta_r_deg": (self.theta_r_deg, 90),
+            "dphi_deg": (self.dphi_deg, 180),
+        }
+        for name, (axis, end) in axes.items():
+            if any(b <= a for a, b in pairwise(axis)):
+                raise ValueError(f"{name} must grow")
+            if axis[0] < 0 or axis[-1] > end:
+                raise ValueError(f"{name} must lie in 0 to {end}")
+        shape = tuple(len(axis) for axis, _ in axes.values())
+        inner = {len(row) for page in self.factor for row in page}
+        given = (len(self.factor), {len(page) for page in self.factor}, inner)
+        if given != (shape[0], {shape[1]}, {shape[2]}):
+            raise ValueError(f"factor must have the shape {shape} of the three axes")
+        if min(min(row) for page in self.factor for row in page) <= 0:
+            raise ValueError("factor must be positive")
+        return self
+
+
+class Certificate(_Record):
+    """What is known of the white standard.
+
+    f = reflectance/pi (1 - rolloff (theta_r/75 deg)^4), or reflectance/pi times `table`.
+    """
+
+    reflectance: float = Field(gt=0, le=1)
+    uncertainty: float = Field(ge=0, description="relative standard uncertainty")
+    rolloff: float = Field(default=0.0, ge=0)
+    rolloff_uncertainty: float = Field(default=0.0, ge=0)
+    table: StandardTable | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Certificate:
+        if self.rolloff and self.table is not None:
+            raise ValueError("give either rolloff or table")
+        return self
+
+
+class LampRecord(_Record):
+    """What is known of the lamp; None is unknown."""
+
+    half_angle_deg: float | None = Field(default=None, ge=0)
+    u_half_angle_deg: float | None = Field(
+        default=None, ge=0, description="standard uncertainty of the half-angle"
+    )
+    drift: float | None = Field(
+        default=None, ge=0, description="relative sd of the output, image to image"
+    )
+
+
+class Limits(_Record):
+    """What the instrument is known to do to the light; None is unknown."""
+
+    slope_error_deg: float | None = Field(
+        default=None, ge=0, description="sd of the dome's surface slope"
+    )
+    rim_slope_error_deg: float | None = Field(
+        default=None, ge=0, description="added to it at the rim, as (theta/90 deg)^6"
+    )
+    slope_correlation_deg: float = Field(
+        default=10.0, gt=0, description="distance over which slope errors are alike"
+    )
+    multibounce: float | None = Field(
+        default=None, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
+    )
+
+
+class Channel(_Record):
+    """A colour filter before lamp or camera."""
+
+    name: str = ""
+    wavelength_nm: float | None = Field(default=None, gt=0)
+
+
+class Plan(_Record):
+    """Which frames are taken: angles in degrees, exposures in seconds."""
+
+    theta_i_deg: tuple[float, ...] = Field(min_length=1)
+    rotations_deg: tuple[float, ...] = Field(min_length=1)
+    exposures_s: tuple[float, ...] = Field(min_length=1)
+    repeats: int = Field(default=1, ge=1, description="takes of each background and standard frame")
+    channels: tuple[Channel, ...] = Field(default=(Channel(),), min_length=1, max_length=100)
+    mode: Literal["reflection", "transmission"] = Field(
+        default="reflection", description="transmission: the lamp stands below the sample"
+    )
+    standard_theta_i_deg: float | None = Field(
+        default=None,
+        description="the one incidence at which the standard was taken; every one if not given",
+    )
+    # How E at incidence i is to that at the standard's, where they differ: T_d cos U m.
+    u_irradiance: float | None = Field(
+        default=None,
+        ge=0,
+        description="relative standard uncertainty of the irradiance computed for another "
+        "incidence than the standard's",
+    )
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Plan:
+        names = [channel.name for channel in self.channels]
+        if len(set(names)) < len(names):
+            raise ValueError("channels must have different names")
+        return self
+
+    def takes(self, role: str) -> int:
+        """Rotations for the sample, repeats for background and standard."""
+        return len(self.rotations_deg) if role == "sample" else self.repeats
+
+    def images(self) -> Iterator[tuple[Role, int, int]]:
+        """(role, take, incidence) in the order in which they are taken."""
+        for role in ROLES:
+            for take in range(self.takes(role)):
+                for incidence in range(len(self.theta_i_deg)):
+                    yield role, take, incidence
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of a complete session."""
+        takes = sum(self.takes(role) for role in ROLES)
+        return takes * len(self.theta_i_deg) * len(self.exposures_s)
+
+
+class Metadata(_Record):
+    """Everything that calibration may know, for a simulated or a real rig."""
+
+    schema_: str = Field(default=SCHEMA, alias="schema")
+    instrument: str
+    sample: str = Field(description="name of the sample, as the operator wrote it")
+    geometry: Geometry
+    lens: LensCalibration
+    camera: Camera
+    standard: Certificate
+    lamp: LampRecord
+    limits: Limits = Limits()
+    plan: Plan
+    fingerprint: str = Field(
+        default="", description="hash of what made the session; resuming checks it"
+    )
+
+
+def _check_names(uncertain: Uncertain | None, known: tuple[str, ...]) -> None:
+    for name in uncertain.names if uncertain else ():
+        if name not in known:
+            raise ValueError(f"uncertain names {name!r}; known are {', '.join(known)}")

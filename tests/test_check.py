@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,9 +108,83 @@ QUICK = [name for name in models.names() if name != "oren_nayar_numeric"]
 
 @pytest.mark.parametrize("name", QUICK)
 def test_every_model_keeps_its_claims_at_its_defaults(name):
-    report = check_model(models.get(name), n_pairs=500)
+    model = models.get(name)
+    report = check_model(model, n_pairs=500)
     assert report.passed, [f for f in report.findings if not f.passed]
+    assert report.conserves_energy
+    energy = report.finding("energy")
+    assert energy.holds
+    assert energy.claimed == (model.claims.albedo_at_most is not None)
+
+
+def test_the_bound_of_a_model_is_what_its_albedo_is_held_to():
+    given = {"rho_d": 0.3, "rho_s": 0.5}
+    energy = check_model(models.get("ward_gmd"), given, n_pairs=10).finding("energy")
+    assert energy.text == "largest albedo 0.7950, claimed at most 0.8000 (rho_d + rho_s)"
+    # A bound may be above 1: the claim is kept and energy is not.
+    report = check_model(models.get("ward_gmd"), {"rho_d": 0.9, "rho_s": 0.8}, n_pairs=10)
+    assert report.passed
     assert report.finding("energy").holds
+    assert not report.conserves_energy
+    assert "claimed at most 1.7000 (rho_d + rho_s); above 1 at 0, 30," in (
+        report.finding("energy").text
+    )
+    lambert = models.get("lambert")
+    up_to_1 = replace(lambert, claims=replace(lambert.claims, albedo_at_most=()))
+    energy = check_model(up_to_1, {"rho": 0.9}, n_pairs=10).finding("energy")
+    assert energy.text == "largest albedo 0.9000, claimed at most 1.0000"
+
+
+def test_an_albedo_above_its_bound_breaks_the_claim():
+    ward = models.get("ward_duer")
+    claims = replace(ward.claims, albedo_at_most=("rho_d", "rho_s"))
+    given = {"rho_d": 0, "rho_s": 0.5, "alpha_x": 0.2, "alpha_y": 0.2}
+    report = check_model(replace(ward, claims=claims), given, n_pairs=10)
+    assert not report.passed
+    assert report.conserves_energy
+    energy = report.finding("energy")
+    assert energy.claimed
+    assert not energy.holds
+    assert energy.worst == pytest.approx(0.564, abs=6e-4)
+    assert energy.text.endswith("0.5000 (rho_d + rho_s), which is exceeded at 85 deg")
+
+
+def test_the_bihemispherical_albedo_of_a_model_stands_in_its_report():
+    given = {"rho_d": 0.1, "rho_s": 0.4}
+    report = check_model(models.get("ward"), given, n_pairs=10)
+    assert report.bihemispherical == bihemispherical_albedo(models.get("ward"), given)
+
+
+def test_draws_tell_of_a_quadrature_that_missed_a_ridge():
+    # Facets of slope 0.005 in x and 1 in y: at normal incidence the light goes into a fan that is
+    # narrower than the quadrature's cells.
+    ward, given = models.get("ward_gmd"), {"rho_d": 0, "rho_s": 1, "alpha_x": 0.005, "alpha_y": 1}
+    alone = directional_albedo(ward, given, 0.0)
+    albedo = check_model(ward, given, n_pairs=10).albedos[0.0]
+    assert albedo.value == alone.value
+    n = 100_000
+    w_i, p = np.broadcast_to([0.0, 0.0, 1.0], (n, 3)), ward.vector(given)
+    weight = ward.sample(w_i, p, np.random.default_rng(1)).weight
+    off = abs(alone.value - weight.mean())
+    assert off > 100 * alone.error
+    assert off < albedo.error < 2 * off
+    # Where both agree the error is that of the quadrature.
+    given["alpha_x"] = 0.2
+    alone = directional_albedo(ward, given, 0.0)
+    assert check_model(ward, given, n_pairs=10).albedos[0.0] == alone
+
+
+@pytest.mark.parametrize("name", ["eon", "ward_gmd", "ggx"])
+def test_a_costly_model_is_asked_for_fewer_directions(name):
+    model = models.get(name)
+    exact = bihemispherical_albedo(model, {})
+    drawn = check_model(replace(model, costly=True), n_pairs=10).bihemispherical
+    assert drawn.n_evaluations == 20_000
+    assert 1e-4 < drawn.error < 0.01 * drawn.value
+    # The error that is told is two standard errors.
+    assert abs(drawn.value - exact.value) < 1.5 * drawn.error + exact.error
+    again = check_model(replace(model, costly=True), n_pairs=10).bihemispherical
+    assert again == drawn
 
 
 def broken(xi, yi, zi, xr, yr, zr, rho):
@@ -300,7 +375,19 @@ def test_check_of_a_model():
     assert result.exit_code == 0
     assert "ward: rho_d = 0.1, rho_s = 0.3" in result.stdout
     assert "The model keeps what it claims." in result.stdout
+    uniform = bihemispherical_albedo(models.get("ward"), {"rho_d": 0.1, "rho_s": 0.3})
+    line = next(line for line in result.stdout.splitlines() if line.startswith(" uniform"))
+    assert line.split()[1:3] == [f"{uniform.value:.5f}", f"{uniform.error:.1g}"]
     assert narrow(result.stdout)
+
+
+def test_check_of_a_sum():
+    result = run("lambert+ward_gmd", "-p", "rho=0.3")
+    assert result.exit_code == 0
+    assert "claimed at most 0.6000" in result.stdout
+    assert "(rho + rho_d + rho_s)" in result.stdout
+    with pytest.raises(ConfigurationError, match="unknown model 'wrd': did you mean 'ward'"):
+        run("lambert+wrd")
 
 
 def test_check_of_a_material_in_degrees():
@@ -309,6 +396,11 @@ def test_check_of_a_material_in_degrees():
     assert document["parameters"]["sigma"] == pytest.approx(20)
     assert document["units"]["sigma"] == "deg"
     assert [row["theta_i_deg"] for row in document["albedo"]] == [0, 30, 45, 60, 75, 85]
+    assert document["conserves_energy"] is False
+    uniform = document["bihemispherical_albedo"]
+    assert 0.95 < uniform["value"] < 1
+    assert 0 < uniform["error"] < 1e-3
+    assert uniform["n_evaluations"] > 1000
 
 
 def test_gain_of_energy_is_told_and_fails_nothing():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gonio import models
+from gonio.checks import directional_albedo
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import Directions, rotated, unit_vectors
 from gonio.models.base import Claims, Model, Parameter
@@ -154,20 +155,73 @@ def test_derivatives_equal_central_differences(name):
                 assert exact[j + 1] == pytest.approx(best, rel=1e-7, abs=noise + 1e-12)
 
 
-@every_model
-def test_f_is_linear_in_exactly_the_parameters_called_linear(name):
-    model, rng = models.get(name), np.random.default_rng(8)
+def bend(model: Model, moved: set[int], rng: np.random.Generator) -> float:
+    """How far f is from affine in the parameters `moved`, all at once, as a share of f."""
     w_i, w_r = random_pairs(rng, 200, theta_max=1.2)
-    p = random_parameters(model, rng)
-    for j, parameter in enumerate(model.parameters):
-        low, high = start_range(parameter)
-        f = []
-        for t in (0.0, 0.5, 1.0):
-            p_t = p.copy()
-            p_t[j] = low + (high - low) * t
-            f.append(model.evaluate(w_i, w_r, p_t))
-        bend = np.max(np.abs(f[0] - 2 * f[1] + f[2])) / np.max(np.abs(f))
-        assert (bend < 1e-13) == parameter.linear
+    ends = [random_parameters(model, rng) for _ in range(2)]
+    for j in set(range(len(model.parameters))) - moved:
+        ends[1][j] = ends[0][j]
+    f = [model.evaluate(w_i, w_r, p) for p in (ends[0], (ends[0] + ends[1]) / 2, ends[1])]
+    return float(np.max(np.abs(f[0] - 2 * f[1] + f[2])) / np.max(np.abs(f)))
+
+
+@every_model
+def test_f_is_linear_in_all_parameters_called_linear_together_and_in_no_more(name):
+    model, rng = models.get(name), np.random.default_rng(8)
+    linear = {j for j, parameter in enumerate(model.parameters) if parameter.linear}
+    for _ in range(4):
+        assert bend(model, linear, rng) < 1e-13
+    for j in set(range(len(model.parameters))) - linear:
+        assert max(bend(model, linear | {j}, rng) for _ in range(4)) > 1e-6
+
+
+@every_model
+def test_no_incidence_and_no_parameters_pass_the_albedo_that_is_claimed(name):
+    model, rng = models.get(name), np.random.default_rng(10)
+    if model.claims.albedo_at_most is None:
+        pytest.skip("not claimed")
+    assert set(model.claims.albedo_at_most) <= set(model.names)
+    some = random_parameters(model, rng)
+    # All that scales f, or a part of it, at its largest.
+    full = [
+        1.0 if (p.lower, p.upper) == (0, 1) else x
+        for p, x in zip(model.parameters, some, strict=True)
+    ]
+    for values in (some.tolist(), full):
+        given = dict(zip(model.names, values, strict=True))
+        bound = model.claims.albedo_bound(given)
+        for theta in (0.0, 60.0, 85.0, 89.0) if not model.costly else (60.0, 89.0):
+            phi = float(rng.uniform(0, 2 * np.pi))
+            albedo = directional_albedo(model, given, math.radians(theta), phi, rtol=1e-3)
+            assert albedo.value - albedo.error <= bound + 1e-12
+
+
+# Why nothing is claimed: theta_i in degrees and parameters whose albedo exceeds all amplitudes.
+WITHOUT_BOUND = {
+    "ward": (89.9, {"rho_d": 0, "rho_s": 1, "alpha_x": 0.4, "alpha_y": 0.4}),
+    "ward_isotropic": (89.9, {"rho_d": 0, "rho_s": 1, "alpha": 0.4}),
+    "ward_approx": (89.9, {"rho_d": 0, "rho_s": 1, "alpha_x": 0.4, "alpha_y": 0.4}),
+    "ward_duer": (85, {"rho_d": 0, "rho_s": 1, "alpha_x": 0.2, "alpha_y": 0.2}),
+    "minnaert": (60, {"rho": 1, "k": 0.7}),
+    "oren_nayar": (75, {"rho": 1, "sigma": 0.1}),
+    "oren_nayar_qualitative": (80, {"rho": 1, "sigma": 0.1}),
+    "oren_nayar_torrance_sparrow": (75, {"rho": 1, "sigma": 0.1, "ks_over_kb": 0}),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_BOUND)
+def test_no_bound_is_claimed_where_there_is_none(name):
+    theta, given = WITHOUT_BOUND[name]
+    assert models.get(name).claims.albedo_at_most is None
+    albedo = directional_albedo(models.get(name), given, math.radians(theta), rtol=1e-3)
+    assert albedo.value - albedo.error > 1
+
+
+def test_a_bound_is_a_sum_of_parameters_or_1_or_none():
+    given = {"rho_d": 0.25, "rho_s": 0.5}
+    assert Claims(albedo_at_most=("rho_d", "rho_s")).albedo_bound(given) == 0.75
+    assert Claims(albedo_at_most=()).albedo_bound(given) == 1
+    assert Claims().albedo_bound(given) is None
 
 
 @every_model

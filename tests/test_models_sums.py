@@ -143,6 +143,45 @@ def test_a_sum_claims_what_all_its_terms_claim() -> None:
     assert claims.seams
 
 
+def test_a_sum_claims_the_bounds_of_its_terms_where_each_has_one() -> None:
+    assert models.get("lambert+ward_gmd").claims.albedo_at_most == ("rho", "rho_d", "rho_s")
+    both = models.get("ward_gmd+ward_gmd").claims.albedo_at_most
+    assert both == ("rho_d_1", "rho_s_1", "rho_d_2", "rho_s_2")
+    # Ward's lobe has no bound; rough plastic may return all light by itself.
+    assert models.get("lambert+ward").claims.albedo_at_most is None
+    assert models.get("lambert+rough_plastic").claims.albedo_at_most is None
+
+
+def test_a_sum_is_drawn_from_by_the_lobes_of_its_terms() -> None:
+    model = models.get("phong+ggx")
+    p = model.vector({"rho_d_1": 0.1, "rho_s": 0.2, "n": 200, "rho_d_2": 0, "alpha_x": 0.3})
+    w_i, w_r = pairs(200)
+    # Cosine and mirror lobe of the first term, cosine and facets of the second, each by the share
+    # that it has in its own model.
+    named = dict(zip(model.names, p.tolist(), strict=True))
+    own = [lobe.density(named, w_i, w_r) for lobe in model.lobes]
+    chance = [np.broadcast_to(lobe.chance(named, w_i[:, 2]), 200) for lobe in model.lobes]
+    np.testing.assert_array_equal(chance[0], 0.1)
+    np.testing.assert_array_equal(chance[1], 0.2)
+    np.testing.assert_array_equal(chance[2], 0.0)
+    for k, (name, given) in enumerate(
+        (
+            ("phong", {"rho_d": 0, "rho_s": 1, "n": 200}),
+            ("ggx", {"rho_d": 0, "alpha_x": 0.3}),
+        )
+    ):
+        term = models.get(name)
+        alone = term.density(w_i, w_r, term.vector(given))
+        np.testing.assert_allclose(own[2 * k + 1], alone, rtol=1e-12)
+    mixed = sum(c * d for c, d in zip(chance, own, strict=True)) / sum(chance)
+    np.testing.assert_allclose(model.density(w_i, w_r, p), mixed, rtol=1e-12)
+
+
+def test_a_sum_with_a_costly_term_is_costly() -> None:
+    assert models.get("oren_nayar_numeric+phong").costly
+    assert not models.get("oren_nayar+phong").costly
+
+
 def test_the_list_holds_the_single_models_only() -> None:
     models.get("ward+ward")
     assert not [name for name in models.names() if "+" in name]

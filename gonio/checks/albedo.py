@@ -106,7 +106,7 @@ def directional_albedo(
         )
     p = model.vector(parameters)
     w_i = unit_vectors(theta_i, phi_i)
-    cells = _first_cells(theta_i, phi_i)
+    cells = _first_cells(theta_i, phi_i, isotropic=model.claims.isotropic)
     value, error = _cell_integrals(model, w_i, p, cells)
     per_cell = sum(len(rule[2]) for rule in _RULES)
     n = per_cell * len(cells)
@@ -165,13 +165,17 @@ def bihemispherical_albedo(
     return Albedo(sums[1], abs(sums[1] - sums[0]) + largest, n)
 
 
-def _first_cells(theta_i: float, phi_i: float) -> FloatArray:
-    """Cells (theta low, theta high, phi low, phi high) over the hemisphere."""
+def _first_cells(theta_i: float, phi_i: float, *, isotropic: bool) -> FloatArray:
+    """Cells (theta low, theta high, phi low, phi high) over the hemisphere.
+
+    Grooves spread light in a narrow ridge that may lie anywhere: it is met by finer cells in phi.
+    """
     theta = {0.0, HORIZON, *np.linspace(0, HORIZON, 7)[1:-1].tolist()}
     for grade in (0.0, *_GRADES):
         theta |= {theta_i - grade, theta_i + grade, HORIZON - grade}
     theta_edges = _distinct([t for t in theta if 0 <= t <= HORIZON])
-    phi = {k * math.pi / 4 for k in range(9)}
+    n_phi = 8 if isotropic else 64
+    phi = {k * 2 * math.pi / n_phi for k in range(n_phi + 1)}
     for centre in (0.0, math.pi, 2 * math.pi):
         phi |= {centre + sign * grade for grade in _GRADES for sign in (-1, 1)}
     phi_edges = phi_i + _distinct([x for x in phi if 0 <= x <= 2 * math.pi])

@@ -74,14 +74,14 @@ def _model_of(target: str, items: tuple[str, ...]) -> tuple[Model | None, dict[s
     from gonio import materials, models
     from gonio.cli.options import parse_parameters
 
-    if target in models.names():
+    path = Path(target)
+    if target in models.names() or ("+" in target and not path.exists() and not path.suffix):
         chosen = models.get(target)
         return chosen, parse_parameters(chosen, items)
     if target in materials.names():
         named = materials.get(target)
         chosen = models.get(named.model)
         return chosen, {**named.parameters, **parse_parameters(chosen, items)}
-    path = Path(target)
     if not path.exists() and path.name == target and not path.suffix:
         raise unknown_name("model, material or file", target, [*models.names(), *materials.names()])
     return None, {}
@@ -147,17 +147,18 @@ def _show_model(model: Model, report: ModelReport) -> None:
     click.echo(f"\n{'theta_i':>8} {'albedo':>10} {'error':>9}   (phi_i = 0)")
     for theta, albedo in report.albedos.items():
         click.echo(f"{theta:>8g} {albedo.value:>10.5f} {albedo.error:>9.1g}")
+    uniform = report.bihemispherical
+    click.echo(
+        f"{'uniform':>8} {uniform.value:>10.5f} {uniform.error:>9.1g}   (from the whole hemisphere)"
+    )
     click.echo()
     if report.passed:
         _say("The model keeps what it claims.")
     else:
         broken = [finding.name for finding in report.findings if not finding.passed]
         _say(f"The model breaks what it claims: {', '.join(broken)}.")
-    if not report.finding("energy").holds:
-        _say(
-            "It reflects more light than falls on it with these parameters. No model claims the "
-            "contrary, since the albedo depends on its amplitudes."
-        )
+    if not report.conserves_energy:
+        _say("It reflects more light than falls on it with these parameters.")
 
 
 def _show_samples(path: Path, report: SamplesReport) -> None:

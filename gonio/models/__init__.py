@@ -13,8 +13,9 @@ from functools import cache
 from gonio.errors import unknown_name
 from gonio.models._sums import SIGN, added, term_names
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine, Draws, Lobe
 
-__all__ = ["Claims", "Model", "Parameter", "get", "names"]
+__all__ = ["Claims", "Cosine", "Draws", "Lobe", "Model", "Parameter", "get", "names"]
 
 
 @cache

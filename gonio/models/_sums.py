@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+from numpy.typing import ArrayLike
 
 from gonio.errors import ConfigurationError
+from gonio.geometry import FloatArray
 from gonio.kernels.build import generated_module
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Lobe, Named
 
 SIGN = "+"
 _DIRECTIONS = "xi, yi, zi, xr, yr, zr"
@@ -70,7 +74,8 @@ def added(terms: Sequence[Model]) -> Model:
     Returns
     -------
     Model
-        It claims what all terms claim; it has the seams of each and no Lambertian limit.
+        It claims what all terms claim; it has the seams and the lobes of each and no Lambertian
+        limit.
     """
     parameters = joined(terms)
     names = [[q.name for q in group] for group in parameters]
@@ -86,9 +91,57 @@ def added(terms: Sequence[Model]) -> Model:
             non_negative=all(c.non_negative for c in claims),
             isotropic=all(c.isotropic for c in claims),
             seams=tuple(dict.fromkeys(seam for c in claims for seam in c.seams)),
+            albedo_at_most=_albedo_at_most(terms, names),
         ),
         validity=_validity(terms),
+        lobes=tuple(
+            OfTerm(lobe=lobe, names=tuple(zip(term.names, own, strict=True)))
+            for term, own in zip(terms, names, strict=True)
+            for lobe in term.lobes
+        ),
+        costly=any(term.costly for term in terms),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfTerm(Lobe):
+    """A lobe of one term, which knows the parameters by the names that they have there.
+
+    Parameters
+    ----------
+    lobe : Lobe
+    names : tuple of (str, str)
+        Name in the term and name in the sum of each parameter of the term.
+    """
+
+    lobe: Lobe
+    names: tuple[tuple[str, str], ...]
+
+    def _own(self, p: Named) -> Named:
+        return {name: p[in_sum] for name, in_sum in self.names}
+
+    def chance(self, p: Named, cos_i: FloatArray) -> ArrayLike:
+        return self.lobe.chance(self._own(p), cos_i)
+
+    def draw(self, p: Named, w_i: FloatArray, u: FloatArray) -> FloatArray:
+        return self.lobe.draw(self._own(p), w_i, u)
+
+    def density(self, p: Named, w_i: FloatArray, w_r: FloatArray) -> FloatArray:
+        return self.lobe.density(self._own(p), w_i, w_r)
+
+
+def _albedo_at_most(
+    terms: Sequence[Model], names: Sequence[Sequence[str]]
+) -> tuple[str, ...] | None:
+    """What bounds the albedo of the sum, if parameters bound that of every term."""
+    bounds: list[str] = []
+    for term, own in zip(terms, names, strict=True):
+        # A term that may reflect all light leaves nothing for the others.
+        if not term.claims.albedo_at_most:
+            return None
+        in_sum = dict(zip(term.names, own, strict=True))
+        bounds += [in_sum[name] for name in term.claims.albedo_at_most]
+    return tuple(bounds)
 
 
 def _validity(terms: Sequence[Model]) -> str:

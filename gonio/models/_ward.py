@@ -1,8 +1,12 @@
-"""The parameters that the normalisations of Ward's elliptical lobe share."""
+"""What the normalisations of Ward's lobe share: parameters, and how much the lobe reflects."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from gonio.geometry import FloatArray
 from gonio.models.base import Parameter
+from gonio.models.sampling import Named
 
 _SLOPES = tuple(
     Parameter(
@@ -26,3 +30,10 @@ def elliptical(rho_s: str = "amplitude of the specular lobe") -> tuple[Parameter
         Parameter("rho_s", "ρ_s", rho_s, 0.1, 0.0, 1.0, linear=True),
         *_SLOPES,
     )
+
+
+def falling(p: Named, cos_i: FloatArray) -> FloatArray:
+    """About the albedo of Ward's own lobe: it falls as rho_s cos(theta_i), and no further where
+    light at grazing incidence meets facets of slope alpha."""
+    alpha = max(value for name, value in p.items() if name.startswith("alpha"))
+    return p["rho_s"] * np.minimum(cos_i + alpha, 1.0)

@@ -18,7 +18,10 @@ from __future__ import annotations
 
 import math
 
+from gonio.geometry import FloatArray
+from gonio.models._lobes import AnisotropicPhong, schlick
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine, Named
 
 
 def _body(z: float) -> float:
@@ -69,6 +72,16 @@ def kernel(
     )
 
 
+def entered(p: Named, cos_i: FloatArray) -> float:
+    """About the albedo of the body."""
+    return p["rho_d"] * (1 - p["rho_s"])
+
+
+def mirrored(p: Named, cos_i: FloatArray) -> FloatArray:
+    """About the albedo of the lobe."""
+    return schlick(p["rho_s"], cos_i)
+
+
 DEG = math.pi / 180
 
 MODEL = Model(
@@ -77,8 +90,15 @@ MODEL = Model(
     reference="Ashikhmin & Shirley 2000, An Anisotropic Phong BRDF Model",
     parameters=(
         Parameter("rho_d", "ρ_d", "reflectance of the body", 0.2, 0.0, 1.0, linear=True),
+        # f holds rho_d rho_s: it is linear in either, not in both together.
         Parameter(
-            "rho_s", "ρ_s", "mirror reflectance at normal incidence", 0.1, 0.0, 1.0, linear=True
+            "rho_s",
+            "ρ_s",
+            "mirror reflectance at normal incidence",
+            0.1,
+            0.0,
+            1.0,
+            start=(0.01, 0.81),
         ),
         Parameter(
             "n_u",
@@ -110,6 +130,8 @@ MODEL = Model(
             (30 * DEG, 0.0, 60 * DEG, 0.0),
             (0.0, 0.0, 0.0, 0.0),
         ),
+        albedo_at_most=(),
     ),
     validity="Plausible rather than derived: no masking, Schlick's Fresnel term.",
+    lobes=(Cosine(share=entered), AnisotropicPhong(share=mirrored, n_u="n_u", n_v="n_v")),
 )

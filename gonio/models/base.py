@@ -9,10 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gonio.errors import ConfigurationError, unknown_name
 from gonio.geometry import Directions, FloatArray
 from gonio.kernels import Loops, loops_for, map_blocks
+from gonio.models import sampling
+from gonio.models.sampling import Cosine, Draws, Lobe
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ class Parameter:
     scale : {"linear", "log"}
         How a grid of starting values is spaced over the range `start`.
     linear : bool
-        True where f is linear in this parameter while the others are held.
+        True where f is linear in this parameter and in all others so marked at once, while the
+        rest is held: a fit solves for these together.
     start : tuple of float, optional
         Range that a fit searches for its start; the whole range where not given.
     """
@@ -107,6 +111,10 @@ class Claims:
         Direction pairs, radians, on every branch of the formula: f is continuous across them.
     lambert_limit : mapping, optional
         Parameter values at which the model is exactly rho/pi, with `rho` or `rho_d` free.
+    albedo_at_most : tuple of str, optional
+        Names of the parameters whose sum the directional albedo never exceeds, at any incidence
+        and with any parameters that are allowed; 1 where there are none in it. None claims
+        nothing.
     """
 
     reciprocal: bool = True
@@ -114,6 +122,19 @@ class Claims:
     isotropic: bool = False
     seams: tuple[tuple[float, float, float, float], ...] = ()
     lambert_limit: Mapping[str, float] | None = None
+    albedo_at_most: tuple[str, ...] | None = None
+
+    def albedo_bound(self, parameters: Mapping[str, float]) -> float | None:
+        """Largest directional albedo that is claimed with these parameters; None if none is.
+
+        Examples
+        --------
+        >>> Claims(albedo_at_most=("rho_d", "rho_s")).albedo_bound({"rho_d": 0.25, "rho_s": 0.5})
+        0.75
+        """
+        if self.albedo_at_most is None:
+            return None
+        return sum(parameters[name] for name in self.albedo_at_most) if self.albedo_at_most else 1.0
 
 
 @dataclass(frozen=True)
@@ -133,6 +154,12 @@ class Model:
         What the contract tests hold the model to.
     validity : str
         Where the formula may be trusted, in one or two sentences.
+    lobes : tuple of Lobe
+        What `sample` draws from. The cosine, which stands here by default, is right for every f
+        that is bounded; a lobe that follows f is better.
+    costly : bool
+        True where f takes a hundred times longer than a closed formula, so that a check looks at
+        fewer directions.
     """
 
     name: str
@@ -142,6 +169,8 @@ class Model:
     kernel: Callable[..., tuple[float, ...]]
     claims: Claims = field(default_factory=Claims)
     validity: str = ""
+    lobes: tuple[Lobe, ...] = (Cosine(),)
+    costly: bool = False
 
     def __call__(self, directions: Directions, **parameters: float) -> FloatArray:
         """BRDF in sr^-1, cosine not included.
@@ -223,6 +252,86 @@ class Model:
             threads=threads,
         )
         return out.reshape(shape), np.moveaxis(jac.reshape(-1, *shape), 0, -1)
+
+    def sample(self, w_i: ArrayLike, p: ArrayLike, rng: np.random.Generator) -> Draws:
+        """Draw one direction of reflection for each direction of incidence.
+
+        Parameters
+        ----------
+        w_i : array_like, shape (..., 3)
+            Unit vectors towards the light, above the horizon.
+        p : array_like
+            Parameter vector as `vector` makes it.
+        rng : numpy.random.Generator
+            Source of all randomness.
+
+        Returns
+        -------
+        Draws
+            Directions, weights f cos(theta_r)/density and densities. The mean weight over all
+            draws, lost ones included, is the directional albedo.
+
+        Raises
+        ------
+        DataError
+            If w_i holds no unit vectors above the horizon.
+        ConfigurationError
+            If p has not one value for each parameter.
+
+        Examples
+        --------
+        >>> from gonio import models
+        >>> ward = models.get("ward_gmd")
+        >>> p = ward.vector({"rho_d": 0.2, "rho_s": 0.3})
+        >>> light = np.tile([0.6, 0.0, 0.8], (20_000, 1))
+        >>> draws = ward.sample(light, p, np.random.default_rng(1))
+        >>> round(float(draws.weight.mean()), 2)
+        0.5
+        """
+        i, vector, named = sampling.light(w_i), *self._named(p)
+        flat = i.reshape(-1, 3)
+        w_r = sampling.drawn(self.lobes, named, flat, rng.random((3, len(flat))))
+        density = sampling.mixed_density(self.lobes, named, flat, w_r)
+        reflected = self.evaluate(flat, w_r, vector) * w_r[:, 2]
+        weight = np.divide(reflected, density, out=np.zeros(len(flat)), where=density > 0)
+        shape = i.shape[:-1]
+        return Draws(w_r.reshape(i.shape), weight.reshape(shape), density.reshape(shape))
+
+    def density(self, w_i: ArrayLike, w_r: ArrayLike, p: ArrayLike) -> FloatArray:
+        """Probability density with which `sample` draws w_r, in sr^-1; 0 below the horizon.
+
+        Parameters
+        ----------
+        w_i, w_r : array_like, shape (..., 3)
+            Unit vectors that broadcast against each other; w_i lies above the horizon.
+        p : array_like
+            Parameter vector as `vector` makes it.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Its integral over the upper hemisphere is 1 less the share of draws that are lost.
+
+        Raises
+        ------
+        DataError, ConfigurationError
+            As `sample`.
+        """
+        i, r = sampling.pairs(w_i, w_r)
+        _, named = self._named(p)
+        found = sampling.mixed_density(self.lobes, named, i.reshape(-1, 3), r.reshape(-1, 3))
+        return found.reshape(i.shape[:-1])
+
+    def _named(self, p: ArrayLike) -> tuple[FloatArray, dict[str, float]]:
+        """A parameter vector, and its values by name."""
+        vector = np.asarray(p, float)
+        if vector.shape != (len(self.parameters),):
+            raise ConfigurationError(
+                f"p has shape {vector.shape}; {self.name} takes the {len(self.parameters)} values "
+                f"{', '.join(self.names)}, as its method vector() makes them.",
+                value=p,
+            )
+        return vector, dict(zip(self.names, vector.tolist(), strict=True))
 
     def plain(self, w_i: FloatArray, w_r: FloatArray, p: FloatArray) -> tuple[float, ...]:
         """The kernel run by the Python interpreter for one pair: the compiled code's twin."""

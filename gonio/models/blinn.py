@@ -17,8 +17,11 @@ from __future__ import annotations
 
 import math
 
+from gonio.geometry import FloatArray
+from gonio.models._lobes import TrowbridgeReitz, at_normal, schlick
 from gonio.models._microfacet import fresnel_dielectric, v_cavities
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine, Named
 
 
 def kernel(
@@ -51,6 +54,11 @@ def kernel(
         k_s * lobe * 2 * (1 / c - 2 * c * cos2 / t),
         k_s * by_eta * facets,
     )
+
+
+def mirrored(p: Named, cos_i: FloatArray) -> FloatArray:
+    """About the albedo of the lobe."""
+    return p["k_s"] * schlick(at_normal(p["eta"]), cos_i)
 
 
 DEG = math.pi / 180
@@ -86,7 +94,9 @@ MODEL = Model(
             (45 * DEG, 0.0, 45 * DEG, 0.0),
         ),
         lambert_limit={"k_s": 0.0},
+        albedo_at_most=("rho_d", "k_s"),
     ),
-    validity="Single reflection; the lobe's albedo is below 1, that of the sum is not bounded: "
-    "keep rho_d below 1 - k_s F. k_s and eta are separated by oblique directions only.",
+    validity="Single reflection; the albedo is at most rho_d + k_s, which may be above 1: keep "
+    "rho_d below 1 - k_s F. k_s and eta are separated by oblique directions only.",
+    lobes=(Cosine(share="rho_d"), TrowbridgeReitz(share=mirrored, c="c")),
 )

@@ -19,8 +19,11 @@ from __future__ import annotations
 
 import math
 
+from gonio.geometry import FloatArray
+from gonio.models._lobes import GaussianSlopes, at_normal, schlick
 from gonio.models._microfacet import fresnel_dielectric, v_cavities
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine, Named
 
 
 def kernel(
@@ -54,6 +57,11 @@ def kernel(
     )
 
 
+def mirrored(p: Named, cos_i: FloatArray) -> FloatArray:
+    """About the albedo of the lobe."""
+    return p["k_s"] * schlick(at_normal(p["eta"]), cos_i)
+
+
 DEG = math.pi / 180
 
 MODEL = Model(
@@ -80,7 +88,9 @@ MODEL = Model(
             (45 * DEG, 0.0, 45 * DEG, 0.0),
         ),
         lambert_limit={"k_s": 0.0},
+        albedo_at_most=("rho_d", "k_s"),
     ),
-    validity="Single reflection; the lobe's albedo is below 1, that of the sum is not bounded: "
-    "keep rho_d below 1 - k_s F. k_s and eta are separated by oblique directions only.",
+    validity="Single reflection; the albedo is at most rho_d + k_s, which may be above 1: keep "
+    "rho_d below 1 - k_s F. k_s and eta are separated by oblique directions only.",
+    lobes=(Cosine(share="rho_d"), GaussianSlopes(share=mirrored, alpha_x="m", alpha_y="m")),
 )

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 C1 = 0.5 - 2 / (3 * math.pi)
 C2 = 2 / 3 - 28 / (15 * math.pi)
@@ -88,7 +89,9 @@ MODEL = Model(
             (50 * DEG, 0.0, 50 * DEG, math.pi / 2),
         ),
         lambert_limit={"r": 0.0},
+        albedo_at_most=("rho",),
     ),
     validity="All angles, albedo at most 1; the shape is a fit to V-cavities, r is no measured "
     "slope.",
+    lobes=(Cosine(share="rho"),),
 )

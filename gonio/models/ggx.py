@@ -18,8 +18,11 @@ from __future__ import annotations
 
 import math
 
+from gonio.geometry import FloatArray
+from gonio.models._lobes import VisibleFacets, at_normal, schlick
 from gonio.models._microfacet import fresnel_conductor, ggx, ggx_smith
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine, Named
 
 
 def kernel(
@@ -60,6 +63,11 @@ def kernel(
     )
 
 
+def mirrored(p: Named, cos_i: FloatArray) -> FloatArray:
+    """About the albedo of the lobe."""
+    return p["k_s"] * schlick(at_normal(p["eta"], p["kappa"]), cos_i)
+
+
 MODEL = Model(
     name="ggx",
     title="GGX microfacets, anisotropic, dielectric or metal",
@@ -91,7 +99,11 @@ MODEL = Model(
         Parameter("kappa", "κ", "extinction coefficient", 0.0, 0.0, 10.0, start=(0.0, 6.0)),
     ),
     kernel=kernel,
-    claims=Claims(lambert_limit={"k_s": 0.0}),
-    validity="Single reflection: albedo below 1 for the lobe, not bounded for the sum with rho_d. "
+    claims=Claims(lambert_limit={"k_s": 0.0}, albedo_at_most=("rho_d", "k_s")),
+    validity="Single reflection; the albedo is at most rho_d + k_s, which may be above 1. "
     "k_s, eta and kappa are hard to tell apart: hold those that are known.",
+    lobes=(
+        Cosine(share="rho_d"),
+        VisibleFacets(share=mirrored, alpha_x="alpha_x", alpha_y="alpha_y"),
+    ),
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -28,6 +29,7 @@ MODEL = Model(
         Parameter("rho", "ρ", "diffuse reflectance", 0.5, 0.0, 1.0, linear=True, start=(0.01, 1.0)),
     ),
     kernel=kernel,
-    claims=Claims(isotropic=True, lambert_limit={}),
+    claims=Claims(isotropic=True, lambert_limit={}, albedo_at_most=("rho",)),
     validity="Exact for the ideal surface; no real surface keeps it at grazing angles.",
+    lobes=(Cosine(share="rho"),),
 )

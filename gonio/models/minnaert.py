@@ -4,7 +4,8 @@ f = rho (k + 1)/(2 pi) (cos theta_i cos theta_r)^(k - 1)
 
 The directional albedo is rho cos(theta_i)^(k - 1), rho at normal incidence, and k = 1 is Lambert;
 k > 1 darkens the limb, k < 1 brightens it. For k < 1 the albedo exceeds rho at oblique incidence
-(1.23 rho at 60 deg for k = 0.7) and diverges at grazing: energy is not conserved.
+(1.23 rho at 60 deg for k = 0.7) and diverges at grazing: energy is not conserved. Directions
+drawn as cos(theta_r)^k all have this albedo for their weight.
 
 Losasso prints (N.L)(N.L)^k (1 - N.E)^(1-k), which is not reciprocal and is Lambert for no k; right
 is (N.L)^k (N.E)^(k-1), with the N.L of the irradiance in it (docs/errata.md).
@@ -15,6 +16,7 @@ from __future__ import annotations
 import math
 
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -39,4 +41,5 @@ MODEL = Model(
     claims=Claims(isotropic=True, lambert_limit={"k": 1.0}),
     validity="Empirical, for theta up to about 70 deg; for k < 1 the albedo exceeds rho and "
     "diverges at grazing.",
+    lobes=(Cosine(share="rho", k="k"),),
 )

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -102,4 +103,5 @@ MODEL = Model(
     ),
     validity="Both polar angles up to about 75 deg; may be negative forward at sigma above 40 deg, "
     "and its albedo exceeds rho at oblique incidence and small sigma.",
+    lobes=(Cosine(share="rho"),),
 )

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from gonio.geometry import FloatArray
 from gonio.models._vcavity import gaussian, shares
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 if TYPE_CHECKING:
     from gonio.models._vcavity_table import Table
@@ -117,7 +118,10 @@ MODEL = Model(
             (1.2, 0.0, 1.2, math.pi),
         ),
         lambert_limit={"sigma": 0.0},
+        albedo_at_most=("rho",),
     ),
     validity="Two bounces: third and further ones, missing here, carry up to a quarter of the "
     "light at rho = 1 and sigma = 60 deg. Exact to 1e-4 for polar angles up to 85 deg.",
+    lobes=(Cosine(share="rho"),),
+    costly=True,
 )

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -67,4 +68,5 @@ MODEL = Model(
     ),
     validity="A sketch: forward of the incidence plane's normal it stays constant where a rough "
     "surface darkens, tens of percent off at oblique angles.",
+    lobes=(Cosine(share="rho"),),
 )

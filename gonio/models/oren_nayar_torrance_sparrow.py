@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import math
 
+from gonio.models._lobes import SlopeAngles
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.oren_nayar import MODEL as BODY
 from gonio.models.oren_nayar import kernel as body_kernel
+from gonio.models.sampling import Cosine
 from gonio.models.torrance_sparrow import MODEL as FACETS
 from gonio.models.torrance_sparrow import kernel as facet_kernel
 
@@ -73,4 +75,5 @@ MODEL = Model(
     ),
     validity="As `oren_nayar`; without data at theta_i of 60 deg and more ks_over_kb is weakly "
     "determined, and without a visible lobe a small sigma is an upper limit.",
+    lobes=(Cosine(share="rho"), SlopeAngles(share="ks_over_kb", sigma="sigma")),
 )

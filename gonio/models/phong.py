@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import math
 
+from gonio.models._lobes import AboutMirror
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -60,7 +62,9 @@ MODEL = Model(
             (60 * DEG, 0.0, 60 * DEG, math.acos(1 / 3)),
         ),
         lambert_limit={"rho_s": 0.0},
+        albedo_at_most=("rho_d", "rho_s"),
     ),
     validity="No surface physics: the lobe is round about R and does not widen towards grazing; "
     "the albedo is at most rho_d + rho_s.",
+    lobes=(Cosine(share="rho_d"), AboutMirror(share="rho_s", n="n")),
 )

@@ -25,8 +25,11 @@ from __future__ import annotations
 
 import math
 
+from gonio.geometry import FloatArray
+from gonio.models._lobes import VisibleFacets, at_normal, schlick
 from gonio.models._microfacet import fresnel_dielectric, ggx, ggx_smith
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine, Named
 
 # Facets seen by i: stretched to alpha = 1 they are h = i + c with c even over the cap of the unit
 # sphere above -i.z (Dupuy & Benyoub 2023). Gauss-Legendre nodes x, y in (0, 1), crowded where i.h
@@ -186,6 +189,11 @@ def kernel(
     )
 
 
+def mirrored(p: Named, cos_i: FloatArray) -> FloatArray:
+    """About the albedo of the interface."""
+    return schlick(at_normal(p["eta"]), cos_i)
+
+
 MODEL = Model(
     name="rough_plastic",
     title="Rough plastic, GGX interface over a diffuse base",
@@ -206,7 +214,11 @@ MODEL = Model(
         Parameter("eta", "η", "refractive index", 1.5, 1.2, 2.0, start=(1.3, 1.8)),
     ),
     kernel=kernel,
-    claims=Claims(isotropic=True),
+    claims=Claims(isotropic=True, albedo_at_most=()),
     validity="Albedo at most 1. The base scatters evenly below the interface and nothing is "
     "absorbed on the way; light that meets two facets from outside is lost.",
+    lobes=(
+        Cosine(share="rho"),
+        VisibleFacets(share=mirrored, alpha_x="alpha", alpha_y="alpha"),
+    ),
 )

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.models._lobes import SlopeAngles
 from gonio.models.base import Claims, Model, Parameter
 
 # S/sigma^2 = A(q) - exp(-pi^2/8q) T(q), q = sigma^2: the integral to infinity less its tail.
@@ -137,7 +138,9 @@ MODEL = Model(
             (60 * DEG, 0.0, 60 * DEG, 0.0),
             (45 * DEG, 0.0, 45 * DEG, 0.0),
         ),
+        albedo_at_most=("k_s",),
     ),
     validity="Single reflection, k_s constant over angle: a dielectric's Fresnel rise towards "
     "grazing is not in it.",
+    lobes=(SlopeAngles(share="k_s", sigma="sigma"),),
 )

@@ -9,6 +9,10 @@ f = rho_d/pi + rho_s / sqrt(cos theta_i cos theta_r)
 In print alpha is called the standard deviation of the slope; the exponent says that the standard
 deviation along each axis is alpha/sqrt(2). The normalisation holds at normal incidence and small
 alpha only: the albedo of the lobe falls about as rho_s cos(theta_i) (docs/errata.md).
+
+Directions drawn from the lobe by eq. (7), corrected, are not "uniformly weighted": their weight
+rho_s (h.i) cos^3(delta) sqrt(cos theta_r/cos theta_i) is at most rho_s/sqrt(cos theta_i), which has
+no bound at grazing incidence.
 """
 
 from __future__ import annotations
@@ -16,8 +20,10 @@ from __future__ import annotations
 import math
 
 from gonio.kernels.fastmath import exp
-from gonio.models._ward import elliptical
+from gonio.models._lobes import GaussianSlopes
+from gonio.models._ward import elliptical, falling
 from gonio.models.base import Claims, Model
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -57,4 +63,8 @@ MODEL = Model(
     claims=Claims(),
     validity="alpha up to about 0.2; rho_s is an amplitude, the lobe's albedo is less at oblique "
     "incidence and diverges at grazing.",
+    lobes=(
+        Cosine(share="rho_d"),
+        GaussianSlopes(share=falling, alpha_x="alpha_x", alpha_y="alpha_y"),
+    ),
 )

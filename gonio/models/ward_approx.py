@@ -8,7 +8,9 @@ h is the half vector, normalised. With H = d_i + d_r not normalised and q = H.H 
 
 In print it stands for eq. (5a); it is a model of its own with a heavier tail: where the lobe of
 (5a) has fallen to a hundredth, this one is 1.16 times (alpha = 0.1) to 8 times (alpha = 0.5) as
-high. Parameters fitted with one of the two belong to that one (docs/errata.md).
+high. Parameters fitted with one of the two belong to that one (docs/errata.md). Directions are
+drawn from a Gaussian of its own: beside that of (5a) the tail would have weights without bound.
+Here they are at most rho_s/sqrt(cos theta_i), which has none at grazing incidence.
 """
 
 from __future__ import annotations
@@ -16,8 +18,10 @@ from __future__ import annotations
 import math
 
 from gonio.kernels.fastmath import exp
-from gonio.models._ward import elliptical
+from gonio.models._lobes import EqualAreaGaussian
+from gonio.models._ward import elliptical, falling
 from gonio.models.base import Claims, Model
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -59,4 +63,8 @@ MODEL = Model(
     claims=Claims(seams=((0.0, 0.0, 0.0, 0.0),), lambert_limit={"rho_s": 0.0}),
     validity="Near eq. (5a) inside the lobe for alpha up to about 0.2; rho_s is an amplitude, the "
     "lobe's albedo is less at oblique incidence and diverges at grazing.",
+    lobes=(
+        Cosine(share="rho_d"),
+        EqualAreaGaussian(share=falling, alpha_x="alpha_x", alpha_y="alpha_y"),
+    ),
 )

@@ -10,6 +10,9 @@ Duer puts 1/(cos theta_i cos theta_r) where Ward's eq. (5a) has the square root,
 of the lobe no longer falls as cos theta_i: at alpha = 0.1 it is 0.98 rho_s from 0 to 60 deg. It
 does not conserve energy: beyond some 80 deg the albedo passes rho_s (1.13 at 85 deg, alpha = 0.2)
 and goes on to infinity. `ward_gmd` stays below.
+
+The weight of a direction drawn from the lobe by Ward's eq. (7) is at most rho_s/cos theta_i, which
+has no bound at grazing incidence.
 """
 
 from __future__ import annotations
@@ -17,8 +20,10 @@ from __future__ import annotations
 import math
 
 from gonio.kernels.fastmath import exp
+from gonio.models._lobes import GaussianSlopes
 from gonio.models._ward import elliptical
 from gonio.models.base import Claims, Model
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -58,4 +63,8 @@ MODEL = Model(
     claims=Claims(lambert_limit={"rho_s": 0.0}),
     validity="alpha up to about 0.2 and theta up to 80 deg, where the lobe's albedo is within 11 % "
     "of rho_s; at grazing it exceeds rho_s and diverges, energy is not conserved.",
+    lobes=(
+        Cosine(share="rho_d"),
+        GaussianSlopes(share="rho_s", alpha_x="alpha_x", alpha_y="alpha_y"),
+    ),
 )

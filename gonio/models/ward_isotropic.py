@@ -7,7 +7,8 @@ tan^2 delta = [(h.x)^2 + (h.y)^2] / (h.n)^2.
 
 In print alpha is "the standard deviation (RMS) of the surface slope": it is the RMS of the
 two-dimensional slope, the standard deviation along one axis is alpha/sqrt(2). The reflectance is
-rho_d + rho_s at normal incidence and small alpha only (docs/errata.md).
+rho_d + rho_s at normal incidence and small alpha only (docs/errata.md). The weight of a direction
+drawn from the lobe is at most rho_s/sqrt(cos theta_i), which has no bound at grazing incidence.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from __future__ import annotations
 import math
 
 from gonio.kernels.fastmath import exp
+from gonio.models._lobes import GaussianSlopes
+from gonio.models._ward import falling
 from gonio.models.base import Claims, Model, Parameter
+from gonio.models.sampling import Cosine
 
 
 def kernel(
@@ -65,4 +69,8 @@ MODEL = Model(
     claims=Claims(isotropic=True, seams=((0.0, 0.0, 0.0, 0.0),), lambert_limit={"rho_s": 0.0}),
     validity="alpha up to about 0.2; rho_s is an amplitude, the lobe's albedo is less at oblique "
     "incidence and diverges at grazing.",
+    lobes=(
+        Cosine(share="rho_d"),
+        GaussianSlopes(share=falling, alpha_x="alpha", alpha_y="alpha"),
+    ),
 )

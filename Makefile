@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint types doctest copy constraints clean
+.PHONY: help demo test lint types doctest docs copy constraints bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 14
@@ -46,6 +46,9 @@ demo: $(INSTALLED)  ## simulate, reduce, fit and plot one material into demo/
 test: $(INSTALLED)  ## run the tests
 	$(BIN)/python -m pytest
 
+bench: $(INSTALLED)  ## time the loops against numpy and other programs, BENCH='--only peers' some
+	$(BIN)/python -m benchmarks $(BENCH)
+
 lint: $(INSTALLED)  ## check style and formatting with ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -56,6 +59,12 @@ types: copy  ## check the types of the installed package with mypy
 doctest: copy  ## run the examples in the docstrings of the installed package
 	cd $(COPY) && "$(CURDIR)/$(BIN)/python" -m pytest -c "$(CURDIR)/pyproject.toml" --rootdir . \
 	    -p no:cacheprovider --doctest-modules gonio
+
+# Offline: nothing is fetched, and the pages of models and commands are made from the installation.
+docs: $(INSTALLED)  ## build the documentation site into build/docs
+	@rm -rf build/docs
+	$(BIN)/sphinx-build -q -n -W --keep-going -d build/doctrees docs build/docs
+	@echo "open build/docs/index.html"
 
 # setuptools puts whatever an earlier build left in build/ into the next one: start empty.
 copy: $(INSTALLED)
@@ -72,11 +81,12 @@ constraints:  ## write constraints.txt anew from pyproject.toml
 	$(PYTHON) -m venv --clear build/pip-tools
 	build/pip-tools/bin/python -m pip install --quiet pip-tools
 	grep -v '^# ' constraints.txt > build/constraints.txt
-	build/pip-tools/bin/pip-compile --quiet --extra test --generate-hashes --allow-unsafe \
-	    --strip-extras --no-header --no-emit-index-url --no-emit-find-links \
+	build/pip-tools/bin/pip-compile --quiet --extra test --extra docs --generate-hashes \
+	    --allow-unsafe --strip-extras --no-header --no-emit-index-url --no-emit-find-links \
 	    --no-emit-trusted-host $(UPGRADE) -o build/constraints.txt pyproject.toml
 	{ grep '^# ' constraints.txt | head -n 3; cat build/constraints.txt; } > build/pinned.txt
 	mv build/pinned.txt constraints.txt
 
 clean:  ## remove everything that make has made
-	rm -rf $(VENV) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist demo docs/_generated *.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -366,26 +366,113 @@ def test_constraints_pin_every_package_with_hashes() -> None:
         assert re.match(r"[a-z0-9][a-z0-9-]*==[\w.]+ \\\n    --hash=sha256:[0-9a-f]{64}\b", pin)
     pinned = {pin.split("==")[0] for pin in pins}
     project = PYPROJECT["project"]
-    wanted = project["dependencies"] + project["optional-dependencies"]["test"]
+    extras = project["optional-dependencies"]
+    wanted = project["dependencies"] + extras["test"] + extras["docs"]
     missing = {re.split(r"[<>=!~\[ ;]", w)[0].lower().replace("_", "-") for w in wanted} - pinned
     assert not missing, f"run 'make constraints': {sorted(missing)} are not pinned"
 
 
 # ---------------------------------------------------------------- the example for contributors
 
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
-def test_the_model_in_contributing_is_a_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    block = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+
+def block_of(language: str) -> str:
+    """The first block of CONTRIBUTING.md in this language."""
+    block = re.search(rf"^```{language}\n(.*?)^```", CONTRIBUTING, re.DOTALL | re.MULTILINE)
     assert block is not None
-    (tmp_path / "lommel_seeliger.py").write_text(block[1], encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    model = importlib.import_module("lommel_seeliger").MODEL
-    w_i, w_r = np.array([0.6, 0.0, 0.8]), np.array([0.0, -0.8, 0.6])
-    value, slope = model.plain(w_i, w_r, np.array([0.5]))
+    return block[1]
+
+
+@pytest.fixture(scope="module")
+def one_more(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of an installation to whose models the example's file was added, and nothing else."""
+    site = tmp_path_factory.mktemp("site")
+    for name, folder in sorted(FOLDERS.items()):
+        shutil.copytree(
+            folder,
+            site / name.replace(".", "/"),
+            ignore=shutil.ignore_patterns("__pycache__"),
+            dirs_exist_ok=True,
+        )
+    (site / "gonio/models/lommel_seeliger.py").write_text(block_of("python"), encoding="utf-8")
+    return site
+
+
+def run_with(site: Path, words: list[str], folder: Path) -> str:
+    """What a program prints that imports gonio from `site`."""
+    done = subprocess.run(
+        words,
+        cwd=folder,
+        env={
+            **os.environ,
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PYTHONPATH": str(site),
+            "GONIO_CACHE_DIR": str(site / "cache"),
+            "MPLBACKEND": "Agg",
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def test_the_model_in_contributing_has_the_values_of_its_formula(one_more: Path) -> None:
+    code = """
+import numpy as np
+from gonio import models
+model = models.get("lommel_seeliger")
+print(model.kernel.__code__.co_filename)
+w_i, w_r, p = np.array([0.6, 0, 0.8]), np.array([0, -0.8, 0.6]), np.array([0.5])
+print(*model.plain(w_i, w_r, p), model.evaluate(w_i, w_r, p))
+"""
+    found, numbers = run_with(one_more, [sys.executable, "-c", code], one_more).splitlines()
+    assert Path(found) == one_more / "gonio/models/lommel_seeliger.py"
     # f = w / (4 pi (cos theta_i + cos theta_r)), linear in w
-    assert value == pytest.approx(0.5 / (4 * np.pi * 1.4), rel=1e-14)
-    assert slope == pytest.approx(value / 0.5, rel=1e-14)
-    assert model.plain(w_r, w_i, np.array([0.5]))[0] == value
+    f = 0.5 / (4 * np.pi * 1.4)
+    assert [float(n) for n in numbers.split()] == pytest.approx([f, f / 0.5, f], rel=1e-14)
+
+
+def test_one_file_is_a_model_for_every_command(one_more: Path, tmp_path: Path) -> None:
+    _, *commands = re.split(r"^\$ ", block_of("console"), flags=re.MULTILINE)
+    printed = {
+        command.split()[1]: run_with(one_more, ["bash", "-euc", command], tmp_path)
+        for command in commands
+    }
+    assert list(printed) == ["models", ">", "evaluate", "fit", "check"]
+    assert "f = w / (4 pi (cos theta_i + cos theta_r))" in printed["models"]
+    fit = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert fit["status"] == "converged"
+    assert fit["parameters"]["w"]["value"] == pytest.approx(0.2, rel=1e-9)
+    assert "The model keeps what it claims." in printed["check"]
+
+
+def test_one_file_is_a_page_of_the_manual(one_more: Path) -> None:
+    code = f"""
+import sys
+sys.path.insert(0, {str(ROOT / "docs" / "_ext")!r})
+from pathlib import Path
+import model_pages
+print(model_pages.page("lommel_seeliger"))
+print(model_pages.index())
+model_pages.draw("lommel_seeliger", Path())
+"""
+    page = run_with(one_more, [sys.executable, "-c", code], one_more)
+    assert "\n```text\nf = w / (4 pi (cos theta_i + cos theta_r))\n```\n" in page
+    assert "| `w` | w | single-scattering albedo | 1 | 0.3 | 0 to 1 |" in page.replace("\\-", "-")
+    assert "$ gonio evaluate lommel_seeliger" in page
+    assert "[`lommel_seeliger`](lommel_seeliger.md)" in page
+    assert (one_more / "lommel_seeliger.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_file_brings_its_contract_tests(one_more: Path) -> None:
+    words = ["-m", "pytest", "-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), "-q"]
+    words += ["-p", "no:cacheprovider", "-k", "lommel_seeliger"]
+    tests = str(ROOT / "tests" / "test_models_contract.py")
+    summary = run_with(one_more, [sys.executable, *words, tests], one_more).splitlines()[-1]
+    passed = re.match(r"(\d+) passed", summary)
+    assert passed is not None, summary
+    # As many as the models that were there before have, less what is not claimed.
+    assert int(passed[1]) >= 15

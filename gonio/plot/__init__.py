@@ -1,10 +1,11 @@
-"""Pictures of frames, samples, fits and posteriors.
+"""Pictures of models, frames, samples, fits and posteriors.
 
 Each function draws one thing on the axes it is given, or on new ones, and returns them; `summary`
 puts them together. Nothing here changes matplotlib's settings for anyone else.
 
 - `frames`: raw frames, merged, with the reflected angles drawn over them;
 - `slices`: the BRDF in the plane of incidence, measured and fitted (Ward 1992, Fig. 6);
+- `model_lobe`, `model_lobes`: a model in its plane of incidence, as a polar diagram;
 - `corner`: the posterior of a fit;
 - `summary`: all of these on one page, with the recovered parameters;
 - `save`: a figure as PNG, PDF or SVG, written whole or not at all.
@@ -12,8 +13,18 @@ puts them together. Nothing here changes matplotlib's settings for anyone else.
 
 from gonio.plot.frames import frames
 from gonio.plot.lobe import slices
+from gonio.plot.model import model_lobe, model_lobes
 from gonio.plot.posterior import corner
 from gonio.plot.style import save, style
 from gonio.plot.summary import summary
 
-__all__ = ["corner", "frames", "save", "slices", "style", "summary"]
+__all__ = [
+    "corner",
+    "frames",
+    "model_lobe",
+    "model_lobes",
+    "save",
+    "slices",
+    "style",
+    "summary",
+]

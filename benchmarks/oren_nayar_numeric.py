@@ -1,6 +1,6 @@
 """Speed and error of the numerical Oren-Nayar model and of its table.
 
-Run from the root of the checkout: python benchmarks/oren_nayar_numeric.py
+Run from the root of the checkout: python -m benchmarks.oren_nayar_numeric
 
 Speeds are of one thread, by the clock and by processor time: where the two differ, the machine had
 other things to do. The error of the integral is that against 40 nodes where it has 14 and 12, the
@@ -10,13 +10,14 @@ error of the table that against the integral; both are of f, rho = 0.8, polar an
 from __future__ import annotations
 
 import math
-import multiprocessing
+import os
 import time
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
+from benchmarks.timing import Row, best, cores
 from gonio.geometry import FloatArray, unit_vectors
 from gonio.models import _vcavity
 from gonio.models.oren_nayar_numeric import MODEL, kernel, surrogate
@@ -25,32 +26,15 @@ SIGMAS_DEG = (3, 10, 20, 30, 45, 60)
 RHO = 0.8
 
 
-def busy() -> float:
-    """Seconds that a fixed amount of arithmetic takes."""
-    start = time.perf_counter()
-    x = 0.0
-    for k in range(5_000_000):
-        x += k * 0.5
-    return time.perf_counter() - start
-
-
-def cores() -> float:
-    """Cores that two processes get: 2 if they run as fast as one."""
-    alone = busy()
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
-        together = max(job.get() for job in [pool.apply_async(busy) for _ in range(2)])
-    return 2 * alone / together
-
-
 def per_second(work: Callable[[], object], n: int) -> tuple[float, float]:
     """Evaluations a second by the clock and by processor time, best of three."""
-    best = [0.0, 0.0]
+    fastest = [0.0, 0.0]
     for _ in range(3):
         clock, cpu = time.perf_counter(), time.process_time()
         work()
-        best[0] = max(best[0], n / (time.perf_counter() - clock))
-        best[1] = max(best[1], n / (time.process_time() - cpu))
-    return best[0], best[1]
+        fastest[0] = max(fastest[0], n / (time.perf_counter() - clock))
+        fastest[1] = max(fastest[1], n / (time.process_time() - cpu))
+    return fastest[0], fastest[1]
 
 
 def pairs(n: int, near_kink: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -82,9 +66,25 @@ def quantiles(error: FloatArray) -> str:
     return "  ".join(f"{q:.1e}" for q in (*np.quantile(error, [0.5, 0.99]), error.max()))
 
 
+def run() -> list[Row]:
+    """Pairs a second of the integral and of its table, one thread."""
+    few, many = pairs(4000), pairs(1_000_000)
+    table, rows = surrogate(), []
+    for sigma in (10, 30):
+        p = np.array([RHO, math.radians(sigma)])
+        exact = len(few[0]) / best(partial(MODEL.evaluate, *few, p, threads=1), 3)
+        work, slab = table.look_up_loop(), table.slabs(float(p[1]))[0]
+        out = np.empty((len(many[0]), 2))
+        quick = len(many[0]) / best(partial(work, *many, slab, float(p[1]), 0, out))
+        name = f"oren_nayar_numeric at {sigma} deg"
+        rows.append(Row(f"{name}, integral", exact, "", None))
+        rows.append(Row(f"{name}, table", quick, "the integral", quick / exact))
+    return rows
+
+
 def main() -> None:
     """Print the tables."""
-    print(f"cores: {cores():.2f} of 2 asked for")
+    print(f"cores: {cores():.2f} of {os.cpu_count()}")
     start = time.perf_counter()
     table = surrogate()
     print(f"table computed or read in {time.perf_counter() - start:.1f} s")

@@ -1,0 +1,1 @@
+"""What gonio's speed is measured with; python -m benchmarks runs it."""

@@ -167,7 +167,10 @@ print(time.perf_counter() - start)
 
 
 def compile_times() -> dict[str, float]:
-    """Seconds of a first call in a new process: with an empty cache, and with a full one."""
+    """Seconds of a first call in a new process, with an empty cache and with a full one.
+
+    The import of numba, half a second, is part of either.
+    """
     found = {}
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "GONIO_CACHE_DIR": cache}

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 Work = Callable[[], object]
+
+SPIN = """
+import sys, time
+start, duration = map(float, sys.argv[1:])
+time.sleep(max(0.0, start - time.time()))
+count = 0
+while time.time() < start + duration:
+    count += 1
+print(count)
+"""
 
 
 @dataclass(frozen=True)
@@ -57,20 +68,16 @@ def seconds(work: Work) -> float:
     return time.perf_counter() - start
 
 
-def spin(duration_s: float = 0.5) -> int:
-    """Count in a busy loop."""
-    count, end = 0, time.perf_counter() + duration_s
-    while time.perf_counter() < end:
-        count += 1
-    return count
-
-
 def cores() -> float:
     """How many busy loops ran at full speed when one was started on each core."""
-    n = os.cpu_count() or 1
-    alone = spin()
-    if n == 1:
-        return 1.0
-    with get_context("spawn").Pool(n) as pool:
-        pool.map(spin, [0.01] * n, chunksize=1)  # all of them are there
-        return sum(pool.map(spin, [0.5] * n, chunksize=1)) / alone
+    alone, together = spins(1), spins(os.cpu_count() or 1)
+    # The quickest of them shows what a core can do that nothing else uses.
+    return sum(together) / max(alone + together)
+
+
+def spins(n: int) -> list[int]:
+    """How far n processes count that start to do so at the same time."""
+    start = time.time() + 0.5  # all of them are there
+    command = [sys.executable, "-c", SPIN, str(start), "0.5"]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(n)]
+    return [int(each.communicate()[0]) for each in running]

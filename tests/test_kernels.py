@@ -1,7 +1,9 @@
 """Compiled loops: they equal plain sums, and their machine code is kept and renewed."""
 
 import importlib
+import math
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -12,9 +14,11 @@ import numpy as np
 import pytest
 
 from gonio import models
+from gonio.errors import ConfigurationError
 from gonio.geometry import unit_vectors
-from gonio.kernels import build, default_threads, fastmath, loops, map_blocks
+from gonio.kernels import build, default_threads, fastmath, loops, map_blocks, single
 from gonio.kernels.build import Loops
+from gonio.models import base
 
 MODEL = models.get("ward")
 P = np.array([0.2, 0.1, 0.1, 0.25])
@@ -96,6 +100,225 @@ class TestLoops:
         public = {name for name in functions if not name.startswith("_")}
         public -= {"call", "store", "unpack"}  # these the header brings
         assert public == set(Loops.__dataclass_fields__)
+
+    @pytest.mark.parametrize("name", ["ward", "oren_nayar"])
+    def test_the_loop_over_pairs_is_simd_code(self, name):
+        from numba import njit
+
+        # A call that is not inlined, or a branch, makes the loop several times slower, silently.
+        again = njit(error_model="numpy")(models.get(name).loops.evaluate.py_func)
+        one = np.ones(1)
+        again(one, one, one, one, one, one, models.get(name).vector({}), one.copy())
+        (code,) = again.inspect_llvm().values()
+        assert re.search(r"call <\d+ x double> @llvm\.sqrt", code)
+
+
+class TestEvaluate:
+    W_I, W_R = directions(20, 3000), directions(21, 3000, theta_max=1.7)
+
+    @pytest.mark.parametrize(
+        ("name", "real"),
+        [
+            *((name, np.float64) for name in models.names()),
+            *((name, np.float32) for name in ("ward", "oren_nayar", "rough_plastic")),
+        ],
+    )
+    def test_the_bits_do_not_depend_on_how_pairs_are_cut_into_blocks(self, name, real, monkeypatch):
+        model = models.get(name)
+        given = self.W_I.astype(real), self.W_R.astype(real), model.vector({})
+        whole = model.gradient(*given, threads=1)
+        monkeypatch.setattr(base, "pair_block", lambda n, threads, costly: 37)
+        for cut, one in zip(model.gradient(*given, threads=2), whole, strict=True):
+            np.testing.assert_array_equal(cut, one)
+        np.testing.assert_array_equal(model.evaluate(*given), whole[0])
+
+    def test_one_thread_makes_one_call(self, monkeypatch):
+        calls = []
+        monkeypatch.setattr(
+            base.Model, "_loops", lambda *_: Loops(*[lambda *a: calls.append(a)] * 6)
+        )
+        MODEL.evaluate(np.ones((100_000, 3)), np.ones(3), P, threads=1)
+        assert len(calls) == 1
+
+    def test_contiguous_components_are_not_copied(self):
+        parts, shape = base._components(self.W_I, self.W_R)
+        assert shape == (3000,)
+        for part, given in zip(parts, (*self.W_I.T, *self.W_R.T), strict=True):
+            assert np.shares_memory(part, given)
+        assert self.W_I.flags.writeable
+
+    @pytest.mark.parametrize("real", [np.float32, np.float64])
+    def test_out_is_filled_and_returned(self, real):
+        w_i, w_r = self.W_I.reshape(30, 100, 3).astype(real), self.W_R[:100].astype(real)
+        out = np.full((30, 100), np.nan, real)
+        assert MODEL.evaluate(w_i, w_r, P, out=out) is out
+        np.testing.assert_array_equal(out, MODEL.evaluate(w_i, w_r, P))
+
+    @pytest.mark.parametrize(
+        ("out", "given"),
+        [
+            (np.empty(7), r"out is an array of float64 and shape \(7,\); "),
+            (np.empty(3000, np.float32), r"out is an array of float32 and shape \(3000,\); "),
+            (np.empty(6000)[::2], r"shape \(3000,\) that is not C-contiguous; "),
+            (np.broadcast_to(0.0, 3000).copy()[:], None),
+        ],
+    )
+    def test_an_out_that_does_not_fit_is_refused(self, out, given):
+        if given is None:
+            out.flags.writeable = False
+            given = r"shape \(3000,\) that is read-only; "
+        wanted = (
+            r"for these directions it must be np.empty\(\(3000,\), np.float64\), or be left out"
+        )
+        with pytest.raises(ConfigurationError, match=given + wanted) as caught:
+            MODEL.evaluate(self.W_I, self.W_R, P, out=out)
+        assert caught.value.value is out
+
+
+def near_and_far(n: int, theta_max: float = 1.4) -> tuple[np.ndarray, np.ndarray]:
+    """Float32 pairs in double: a half anywhere, a half near each other's mirror direction."""
+    rng = np.random.default_rng(30)
+    theta, phi = rng.uniform(0, theta_max, (2, n)), rng.uniform(0, 6.28, (2, n))
+    half = n // 2
+    theta[1, :half] = np.clip(theta[0, :half] + 0.1 * rng.standard_normal(half), 0, theta_max)
+    phi[1, :half] = phi[0, :half] + np.pi + 0.1 * rng.standard_normal(half)
+    w_i, w_r = (unit_vectors(*each).astype(np.float32) for each in zip(theta, phi, strict=True))
+    return w_i.astype(float), w_r.astype(float)
+
+
+def in_float32(*arrays: np.ndarray) -> list[np.ndarray]:
+    return [array.astype(np.float32) for array in arrays]
+
+
+every_model = pytest.mark.parametrize("name", models.names())
+
+
+class TestSinglePrecision:
+    @every_model
+    def test_f_is_that_of_double_precision(self, name):
+        model, (w_i, w_r) = models.get(name), near_and_far(1000)
+        middle = [
+            math.sqrt(a * b) if q.scale == "log" else 0.5 * (a + b)
+            for q in model.parameters
+            for a, b in [q.start or (q.lower, q.upper)]
+        ]
+        for p in (model.vector({}), np.array(middle)):
+            exact = model.evaluate(w_i, w_r, p)
+            f = model.evaluate(*in_float32(w_i, w_r), p)
+            assert f.dtype == np.float32
+            # Some thirty roundings of 6e-8 each; an exponent of -7 where the lobe has fallen to a
+            # thousandth is itself rounded to 4e-7.
+            lobe = np.abs(exact).max()
+            assert np.all(np.abs(f - exact) < 1e-5 * (np.abs(exact) + 1e-3 * lobe))
+
+    @pytest.mark.parametrize("name", ["ward", "oren_nayar", "ggx"])
+    def test_derivatives_are_those_of_double_precision(self, name):
+        model, (w_i, w_r) = models.get(name), near_and_far(1000)
+        _, exact = model.gradient(w_i, w_r, model.vector({}))
+        f, gradient = model.gradient(*in_float32(w_i, w_r), model.vector({}))
+        assert f.dtype == gradient.dtype == np.float32
+        np.testing.assert_array_equal(f, model.evaluate(*in_float32(w_i, w_r), model.vector({})))
+        # As f, but derivatives are differences that may cancel.
+        largest = np.abs(exact).max(axis=0)
+        assert np.all(np.abs(gradient - exact) <= 5e-6 * largest)
+
+    @every_model
+    def test_f_is_zero_at_and_below_the_horizon_and_finite_just_above(self, name):
+        model, horizon = models.get(name), np.pi / 2
+        theta_i = np.array([horizon, 0.3, horizon, 1.6, 0.3, 2.5])
+        theta_r = np.array([0.3, horizon, horizon, 0.3, 1.6, 2.5])
+        below = in_float32(unit_vectors(theta_i, 0.0), unit_vectors(theta_r, 2.0))
+        assert not model.evaluate(*below, model.vector({})).any()
+        grazing = in_float32(*near_and_far(200, theta_max=horizon - 1e-6))
+        for end in ("lower", "default", "upper"):
+            p = np.array([getattr(q, end) for q in model.parameters])
+            assert np.all(np.isfinite(model.evaluate(*grazing, p)))
+
+    def test_mixed_types_are_computed_in_double(self):
+        w_i, w_r = near_and_far(10)
+        f = MODEL.evaluate(w_i.astype(np.float32), w_r, P)
+        assert f.dtype == np.float64
+        np.testing.assert_array_equal(f, MODEL.evaluate(w_i, w_r, P))
+
+    @pytest.mark.parametrize("name", ["phong", "oren_nayar_numeric", "phong+lambert"])
+    def test_what_single_precision_would_ruin_is_computed_in_double_and_rounded(self, name):
+        model, (w_i, w_r) = models.get(name), near_and_far(100)
+        p = model.vector({})
+        f = model.evaluate(*in_float32(w_i, w_r), p)
+        np.testing.assert_array_equal(f, model.evaluate(w_i, w_r, p).astype(np.float32))
+
+    @pytest.mark.parametrize("name", single.DOUBLE)
+    def test_the_names_of_what_is_computed_in_double_exist(self, name):
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError:
+            module, _, function = name.rpartition(".")
+            assert callable(getattr(importlib.import_module(module), function))
+
+    # Branches, complex numbers, and loops over tuples of constants.
+    @pytest.mark.parametrize("name", ["oren_nayar", "ggx", "rough_plastic"])
+    def test_nothing_is_computed_in_double(self, name):
+        from numba import float32
+
+        kernel = models.get(name).kernel
+        twin = build.compiled(kernel, single=True)
+        twin.compile((float32,) * kernel.__code__.co_argcount)
+        seen = [twin]
+        for function in seen:
+            (compiled,) = function.overloads.values()
+            types = compiled.type_annotation.typemap.items()
+            # The literal in float32(literal) is a double; it is rounded when compiled.
+            wide = [k for k, t in types if str(t) in {"float64", "complex128"} and "const" not in k]
+            assert not wide
+            called = (
+                function.py_func.__globals__.get(n) for n in function.py_func.__code__.co_names
+            )
+            seen += [c for c in called if hasattr(c, "overloads") and c not in seen]
+
+    def test_whole_numbers_stay_whole_where_they_count_and_become_real_where_they_measure(
+        self, tmp_path, monkeypatch
+    ):
+        source = """
+            from __future__ import annotations
+
+            import math
+
+            N, HALF, TABLE, ORDER = 3, 1 / 2, (0.1, 0.2, 0.3, 0.4), (2, 1)
+
+
+            def scaled(x: float, n: int = 2) -> float:
+                return x ** n * N + n
+
+
+            def first(n: int) -> int:
+                return n // 2
+
+
+            def made_up(x: float, y: float) -> tuple[float, float]:
+                total, k = 0, 0
+                for j in range(N):
+                    total += TABLE[j + 1] * x ** (j + 1) / (j + 1)
+                    k += 1
+                k -= first(k)
+                for sign in (1, -1):
+                    total += sign * y * ORDER[k - 2] + (0 if x > 1 else 2 * HALF)
+                a = b = x if k == 2 else 0
+                z = complex(x, -1) * 1j
+                total += k * a - 1 / 3 * b + math.pi
+                return total, scaled(x, n=k) + max(1, int(7 * x)) / z.real
+            """
+        (tmp_path / "made_up_source.py").write_text(textwrap.dedent(source))
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.setattr(sys, "dont_write_bytecode", True)
+        made_up = importlib.import_module("made_up_source").made_up
+        try:
+            twin = build.compiled(made_up, single=True)
+            result = twin(np.float32(0.7), np.float32(1.3))
+            (signature,) = twin.nopython_signatures
+            assert str(signature.return_type) == "UniTuple(float32 x 2)"
+            np.testing.assert_allclose(result, made_up(0.7, 1.3), rtol=1e-6)
+        finally:
+            sys.modules.pop("made_up_source", None)
 
 
 class TestMapBlocks:
@@ -210,18 +433,50 @@ class TestCache:
             build._cache_folder.cache_clear()
 
 
-class TestExp:
-    def test_it_is_exp_to_four_parts_in_ten_to_the_sixteen(self):
-        x = np.concatenate([np.linspace(-700, 700, 20001), np.linspace(-1, 1, 2001)])
-        ours = np.array([fastmath.exp(float(v)) for v in x])
-        # numpy's own exp is good to an ulp, 2.2e-16.
-        np.testing.assert_allclose(ours, np.exp(x), rtol=4.5e-16)
+class TestFastMath:
+    X = np.concatenate([np.linspace(-700, 700, 20001), np.linspace(-1, 1, 2001)])
+    Z = np.concatenate([np.linspace(-1, 1, 20001), 1 - np.geomspace(1e-16, 0.1, 500)])
 
-    def test_it_is_held_where_it_would_leave_the_numbers(self):
+    # numpy's own functions are good to an ulp, 2.2e-16.
+    def test_exp_is_good_to_four_parts_in_ten_to_the_sixteen(self):
+        ours = np.array([fastmath.exp(float(x)) for x in self.X])
+        np.testing.assert_allclose(ours, np.exp(self.X), rtol=4.5e-16)
+
+    def test_acos_is_good_to_four_parts_in_ten_to_the_sixteen(self):
+        ours = np.array([fastmath.acos(float(z)) for z in self.Z])
+        np.testing.assert_allclose(ours, np.arccos(self.Z), rtol=4.5e-16)
+
+    def test_a_small_angle_is_as_exact_as_its_versine(self):
+        theta = np.geomspace(1e-150, 1.5, 500)
+        w = 2 * np.sin(theta / 2) ** 2
+        ours = np.array([fastmath.arcvers(float(each)) for each in w])
+        np.testing.assert_allclose(ours, theta, rtol=6e-16)
+
+    def test_exp_is_held_where_it_would_leave_the_numbers(self):
         assert 0 < fastmath.exp(-1e6) < 1e-300
         assert 1e300 < fastmath.exp(1e6) < np.inf
 
+    def test_acos_is_exact_at_its_ends_and_held_beyond(self):
+        for z in (1.0, 1 + 2e-16, 1.5):
+            assert fastmath.acos(z) == 0
+            assert fastmath.acos(-z) == math.pi
+        assert fastmath.acos(0.0) == pytest.approx(math.pi / 2, abs=2.3e-16)
+
     def test_machine_code_gives_the_same(self):
-        twin = build.compiled(fastmath.exp)
-        for x in (-650.0, -3.7, 0.0, 1e-9, 2.5):
-            assert twin(x) == pytest.approx(fastmath.exp(x), rel=3e-16)
+        # It rounds a product and a sum together, where the interpreter rounds twice.
+        exp, acos = build.compiled(fastmath.exp), build.compiled(fastmath.acos)
+        for x in (-1e6, -650.0, -3.7, 0.0, 1e-9, 2.5):
+            assert exp(x) == pytest.approx(fastmath.exp(x), rel=4.5e-16)
+        for z in (-1.5, -1.0, -0.3, 0.0, 1e-9, 0.7, 1 - 1e-12, 1.0, 1.5):
+            assert acos(z) == pytest.approx(fastmath.acos(z), rel=4.5e-16)
+
+    def test_the_twins_in_single_precision_are_good_to_two_units_in_the_last_place(self):
+        exp = build.compiled(fastmath.exp, single=True)
+        acos = build.compiled(fastmath.acos, single=True)
+        x, z = (each.astype(np.float32) for each in (self.X / 10, self.Z))
+        ours = [np.array([f(v) for v in each]) for f, each in ((exp, x), (acos, z))]
+        assert {str(f.nopython_signatures[0].return_type) for f in (exp, acos)} == {"float32"}
+        np.testing.assert_allclose(ours[0], np.exp(x.astype(float)), rtol=2.4e-7)
+        np.testing.assert_allclose(ours[1], np.arccos(z.astype(float)), rtol=2.4e-7)
+        assert 0 < exp(np.float32(-1e6)) < 1e-37
+        assert 1e37 < exp(np.float32(1e6)) < np.inf

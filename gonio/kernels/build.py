@@ -5,6 +5,9 @@ written, header and all, to a file in the cache folder whose name is a hash of e
 went into it: a changed model, a changed loop or a changed numba makes a new file, and stale code
 cannot be run. A kernel that is written when asked for, such as a sum of models, goes the same way.
 The folder is `GONIO_CACHE_DIR`, else `~/.cache/gonio`.
+
+Loops for float32 are another such file, made when the first float32 directions come: the same
+kernel and the same loops, with their constants in single precision (`gonio.kernels.single`).
 """
 
 from __future__ import annotations
@@ -22,24 +25,29 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
+from gonio.kernels.single import in_single, must_be_double, text_in_single
+
 _MARK = "# HEADER ENDS"
 _HEADER = '''"""Loops around {module}.{name}, written by gonio.kernels.build; safe to delete."""
 import numpy as np
 from numba import njit
 from {module} import {name} as source
 from gonio.kernels.build import compiled
+from gonio.kernels.intrinsics import align_stack
 
-kernel = compiled(source)
+_float32 = np.float32
+kernel = compiled(source, single={single})
 
 
 @njit(error_model="numpy", inline="always")
 def unpack(p):
+    align_stack()
     return ({scalars},)
 
 
 @njit(error_model="numpy", inline="always")
 def call(xi, yi, zi, xr, yr, zr, q):
-    return kernel(xi, yi, zi, xr, yr, zr{arguments})
+    return kernel({directions}{arguments})
 
 
 @njit(error_model="numpy", inline="always")
@@ -48,6 +56,7 @@ def store(both, above, gradient, k):
 
 '''
 _DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")\n'
+_DIRECTIONS = ("xi", "yi", "zi", "xr", "yr", "zr")
 
 
 @dataclass(frozen=True)
@@ -60,6 +69,14 @@ class Loops:
     cell_gradient: Callable[..., None]
     batch_chi2: Callable[..., None]
     image: Callable[..., None]
+
+
+@dataclass(frozen=True)
+class SingleLoops:
+    """Those loops that take float32 directions and write float32."""
+
+    evaluate: Callable[..., None]
+    evaluate_gradient: Callable[..., None]
 
 
 @cache
@@ -79,27 +96,43 @@ def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     Loops
         Compiled at their first call, or read from the cache on disk.
     """
-    module = _load(_render(kernel, n_parameters), f"{kernel.__module__}.{kernel.__qualname__}")
+    module = _load(kernel, n_parameters, single=False)
     return Loops(**{name: getattr(module, name) for name in Loops.__dataclass_fields__})
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function` compiled by numba together with the plain functions that it calls by name."""
+@cache
+def single_loops_for(kernel: Callable[..., Any], n_parameters: int) -> SingleLoops:
+    """`loops_for` float32 directions and results; parameters stay float64.
+
+    A kernel that single precision would ruin (`gonio.kernels.single.DOUBLE`) is computed in double
+    by these loops, and rounded.
+    """
+    in_double = any(map(must_be_double, _reached(kernel)))
+    module = _load(kernel, n_parameters, single=not in_double)
+    return SingleLoops(**{name: getattr(module, name) for name in SingleLoops.__dataclass_fields__})
+
+
+def compiled(function: Callable[..., Any], *, single: bool = False) -> Callable[..., Any]:
+    """`function` compiled by numba together with the plain functions that it calls by name.
+
+    With `single` their constants are float32, and so is all that they make of float32 arguments.
+    """
     from numba import njit
 
-    plain = inspect.unwrap(function)
-    assert isinstance(plain, FunctionType)
+    plain = _plain(function)
     if hasattr(plain, "compiled_twin"):
         # A function that Python and machine code do differently brings its own compiled form.
         own: Callable[..., Any] = plain.compiled_twin()
         return own
+    if single:
+        plain = in_single(_plain(getattr(plain, "single_twin", plain)))
     names = dict(plain.__globals__)
     for name in plain.__code__.co_names:
         callee = names.get(name)
         if isinstance(callee, FunctionType):
-            names[name] = compiled(callee)
+            names[name] = compiled(callee, single=single)
     twin = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__)
-    result: Callable[..., Any] = njit(error_model="numpy")(twin)
+    result: Callable[..., Any] = njit(error_model="numpy", forceinline=True)(twin)
     return result
 
 
@@ -138,44 +171,54 @@ def generated_module(prefix: str, text: str, ingredients: Iterable[str] = ()) ->
     return module
 
 
-def _render(kernel: Callable[..., Any], n_parameters: int) -> str:
-    """Text of the generated module: header, hash of the sources, decorated loops."""
+def _load(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> ModuleType:
+    import numba
+
+    own = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
+    sources = {inspect.getsourcefile(function) for function in _reached(kernel)}
+    read = [Path(path).read_text(encoding="utf-8") for path in sorted(filter(None, sources))]
+    prefix = kernel.__module__.replace(".", "_") + ("_single" if single else "")
+    text = _render(kernel, n_parameters, single=single)
+    return generated_module(prefix, text, [numba.__version__, sys.version, *own, *read])
+
+
+def _render(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> str:
+    """Text of the generated module: header and decorated loops."""
     text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
     body = text.split(_MARK, 1)[1].split("def unpack(", 1)[0]
-    body = body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+    real, zero = ("_float32", "_float32(0.0)") if single else ("np.float64", "0.0")
+    if single:
+        body = "\n\n\n" + text_in_single(body, tuple(SingleLoops.__dataclass_fields__))
     header = _HEADER.format(
         module=kernel.__module__,
         name=kernel.__name__,
+        single=single,
+        directions=", ".join(f"{real}({name})" for name in _DIRECTIONS),
         arguments="".join(f", q[{j}]" for j in range(n_parameters)),
         stores="\n".join(
-            f"    gradient[{j}, k] = both[{j + 1}] if above else 0.0" for j in range(n_parameters)
+            f"    gradient[{j}, k] = both[{j + 1}] if above else {zero}"
+            for j in range(n_parameters)
         ),
-        scalars=", ".join(f"p[{j}]" for j in range(n_parameters)),
+        scalars=", ".join(f"{real}(p[{j}])" for j in range(n_parameters)),
     )
-    return header + body
+    return header + body.replace("\ndef ", "\n" + _DECORATOR + "def ")
 
 
-def _sources(function: Callable[..., Any], seen: dict[str, str]) -> dict[str, str]:
+def _plain(function: Callable[..., Any]) -> FunctionType:
     plain = inspect.unwrap(function)
     assert isinstance(plain, FunctionType)
-    key = f"{plain.__module__}.{plain.__qualname__}"
-    if key not in seen:
-        path = inspect.getsourcefile(plain)
-        seen[key] = Path(path).read_text(encoding="utf-8") if path else ""
-        for name in plain.__code__.co_names:
-            callee = plain.__globals__.get(name)
-            if isinstance(callee, FunctionType):
-                _sources(callee, seen)
-    return seen
+    return plain
 
 
-def _load(text: str, origin: str) -> ModuleType:
-    import numba
-
-    module_name, _, name = origin.rpartition(".")
-    kernel = getattr(sys.modules[module_name], name)
-    ingredients = [numba.__version__, sys.version, *_sources(kernel, {}).values()]
-    return generated_module(module_name.replace(".", "_"), text, ingredients)
+def _reached(function: Callable[..., Any]) -> list[FunctionType]:
+    """The function and all plain functions that it calls, directly or not."""
+    found = [_plain(function)]
+    for caller in found:
+        for name in caller.__code__.co_names:
+            callee = caller.__globals__.get(name)
+            if isinstance(callee, FunctionType) and _plain(callee) not in found:
+                found.append(_plain(callee))
+    return found
 
 
 @cache

@@ -11,7 +11,8 @@ has vectors, and they hold no branch: a pair at or below the horizon is evaluate
 value replaced by 0.
 
 Directions are unit vectors in the frame of the sample, i towards the light and r towards the
-viewer; `p` is the parameter vector; f is in sr^-1.
+viewer; `p` is the parameter vector; f is in sr^-1. All is float64; `evaluate` and
+`evaluate_gradient` are also made for directions and results in float32.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 
 from gonio.geometry import FloatArray
+from gonio.kernels.fastmath import exp
 from gonio.models._lobes import GaussianSlopes, at_normal, schlick
 from gonio.models._microfacet import fresnel_dielectric, v_cavities
 from gonio.models.base import Claims, Model, Parameter
@@ -44,7 +45,7 @@ def kernel(
     q = sin2 + h_z * h_z
     cos2 = h_z * h_z / q
     t2 = sin2 / (h_z * h_z * m * m)
-    d = math.exp(-t2) / (math.pi * m * m * cos2 * cos2)
+    d = exp(-t2) / (math.pi * m * m * cos2 * cos2)
     fresnel, _, by_eta = fresnel_dielectric(0.5 * math.sqrt(q), eta)
     facets = d * v_cavities(h_z, q, zi, zr) / (4 * zi * zr)
     lobe = fresnel * facets

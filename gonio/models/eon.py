@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import acos
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.sampling import Cosine
 
@@ -35,7 +36,7 @@ def lacking(x: float, y: float, z: float) -> float:
     """
     s2 = x * x + y * y
     s = math.sqrt(s2)
-    g = s * (math.atan2(s, z) - s * z) + 2 / 3 * s * (z * (1 + s + s2) / (1 + s) - 1)
+    g = s * (acos(z) - s * z) + 2 / 3 * s * (z * (1 + s + s2) / (1 + s) - 1)
     return C1 - g / math.pi
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import acos
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.sampling import Cosine
 
@@ -31,23 +32,18 @@ def kernel(
     """f of eqs (14)-(16) and its derivatives by rho and sigma."""
     sin_i = math.sqrt(xi * xi + yi * yi)
     sin_r = math.sqrt(xr * xr + yr * yr)
-    theta_i = math.atan2(sin_i, zi)
-    theta_r = math.atan2(sin_r, zr)
-    if theta_i > theta_r:
-        alpha, beta, sin_alpha, tan_beta = theta_i, theta_r, sin_i, sin_r / zr
-    else:
-        alpha, beta, sin_alpha, tan_beta = theta_r, theta_i, sin_r, sin_i / zi
-    # At normal incidence or view beta = 0: every term that holds cos(dphi) is 0 whatever it is.
-    cos_dphi = 0.0
-    if sin_i * sin_r > 0:
-        cos_dphi = (xi * xr + yi * yr) / (sin_i * sin_r)
-    b = 2 * beta / math.pi
-    sloped = sin_alpha
-    if cos_dphi < 0:
-        sloped -= b * b * b
-    c3 = 2 * alpha / math.pi * b
+    alpha = acos(min(zi, zr))
+    beta = acos(max(zi, zr))
+    sin_alpha = max(sin_i, sin_r)
+    tan_beta = min(sin_i, sin_r) / max(zi, zr)
     # tan((alpha + beta)/2) = (sin alpha + sin beta)/(cos alpha + cos beta)
     tan_mean = (sin_i + sin_r) / (zi + zr)
+    # At normal incidence or view beta = 0: every term that holds cos(dphi) is 0 whatever it is.
+    both = sin_i * sin_r
+    cos_dphi = (xi * xr + yi * yr) / (both if both > 0 else 1)
+    b = 2 / math.pi * beta
+    c3 = 2 / math.pi * alpha * b
+    sloped = sin_alpha - (b * b * b if cos_dphi < 0 else 0)
     tilt = 0.45 * cos_dphi * sloped * tan_beta
     tilt += 0.125 * (1 - abs(cos_dphi)) * c3 * c3 * tan_mean
     bounce = 0.17 * (1 - cos_dphi * b * b)

@@ -20,45 +20,9 @@ from __future__ import annotations
 
 import math
 
+from gonio.kernels.fastmath import arcvers, exp
 from gonio.models._lobes import SlopeAngles
 from gonio.models.base import Claims, Model, Parameter
-
-# S/sigma^2 = A(q) - exp(-pi^2/8q) T(q), q = sigma^2: the integral to infinity less its tail.
-# A is Dawson's integral by its series of (-q)^k / (2k + 1)!!:
-#   [(-1) ** k / math.prod(range(1, 2 * k + 2, 2)) for k in range(16)]
-_A = (
-    1.0,
-    -0.3333333333333333,
-    0.06666666666666667,
-    -0.009523809523809525,
-    0.0010582010582010583,
-    -9.62000962000962e-05,
-    7.4000074000074e-06,
-    -4.9333382666716e-07,
-    2.901963686277412e-08,
-    -1.5273493085670588e-09,
-    7.273091945557423e-11,
-    -3.1622138893727926e-12,
-    1.264885555749117e-13,
-    -4.684761317589322e-15,
-    1.6154349370997664e-16,
-    -5.211080442257311e-18,
-)
-# T(q) = int_0^inf exp(-pi w/2 - q w^2/2) cos(q w) dw (t = pi/2 + q w in the tail), as
-#   Chebyshev.interpolate(T, 9, [0, 1.1]).convert(kind=Polynomial).coef
-# of numpy.polynomial, with T by scipy.integrate.quad.
-_T = (
-    0.6366197723675822,
-    -0.25801227546564903,
-    0.05569303426790983,
-    -0.008289246471018044,
-    0.0009449987394157087,
-    -8.7436960094106e-05,
-    6.8124100435089816e-06,
-    -4.578385649641707e-07,
-    2.6490550397122948e-08,
-    -1.1151778692133373e-09,
-)
 
 
 def slope_norm(sigma: float) -> tuple[float, float]:
@@ -76,13 +40,40 @@ def slope_norm(sigma: float) -> tuple[float, float]:
     1.36
     """
     q = sigma * sigma
-    edge = math.exp(-math.pi * math.pi / (8 * q))
-    whole = 0.0
-    for c in _A[::-1]:
-        whole = whole * q + c
-    tail = 0.0
-    for c in _T[::-1]:
-        tail = tail * q + c
+    edge = exp(-math.pi * math.pi / (8 * q))
+    # S/sigma^2 = A(q) - exp(-pi^2/8q) T(q): the integral to infinity less its tail. Written out,
+    # the sums are done once for all pairs of directions; loops would be done for each.
+    # A is Dawson's integral by its series of (-q)^k / (2k + 1)!!:
+    #   [(-1) ** k / math.prod(range(1, 2 * k + 2, 2)) for k in range(16)]
+    whole = -5.211080442257311e-18
+    whole = whole * q + 1.6154349370997664e-16
+    whole = whole * q - 4.684761317589322e-15
+    whole = whole * q + 1.264885555749117e-13
+    whole = whole * q - 3.1622138893727926e-12
+    whole = whole * q + 7.273091945557423e-11
+    whole = whole * q - 1.5273493085670588e-09
+    whole = whole * q + 2.901963686277412e-08
+    whole = whole * q - 4.9333382666716e-07
+    whole = whole * q + 7.4000074000074e-06
+    whole = whole * q - 9.62000962000962e-05
+    whole = whole * q + 0.0010582010582010583
+    whole = whole * q - 0.009523809523809525
+    whole = whole * q + 0.06666666666666667
+    whole = whole * q - 0.3333333333333333
+    whole = whole * q + 1.0
+    # T(q) = int_0^inf exp(-pi w/2 - q w^2/2) cos(q w) dw (t = pi/2 + q w in the tail), as
+    #   Chebyshev.interpolate(T, 9, [0, 1.1]).convert(kind=Polynomial).coef
+    # of numpy.polynomial, with T by scipy.integrate.quad.
+    tail = -1.1151778692133373e-09
+    tail = tail * q + 2.6490550397122948e-08
+    tail = tail * q - 4.578385649641707e-07
+    tail = tail * q + 6.8124100435089816e-06
+    tail = tail * q - 8.7436960094106e-05
+    tail = tail * q + 0.0009449987394157087
+    tail = tail * q - 0.008289246471018044
+    tail = tail * q + 0.05569303426790983
+    tail = tail * q - 0.25801227546564903
+    tail = tail * q + 0.6366197723675822
     s = q * (whole - edge * tail)
     return s, (s + q * (1 - s) - 0.5 * math.pi * edge) / sigma
 
@@ -97,12 +88,13 @@ def kernel(
     # h is not normalised: n.h = h_z/|h| and h.i = |h|/2.
     sin2 = h_x * h_x + h_y * h_y
     q = sin2 + h_z * h_z
-    theta_a = math.atan2(math.sqrt(sin2), h_z)
     cos_a = h_z / math.sqrt(q)
+    # 1 - cos = sin^2/(1 + cos) keeps the digits of a small angle.
+    theta_a = arcvers(sin2 / (q * (1 + cos_a)))
     g = min(1.0, 4 * h_z * min(zi, zr) / q)
     s, d_s = slope_norm(sigma)
     t2 = theta_a * theta_a / (sigma * sigma)
-    lobe = math.exp(-0.5 * t2) / s * g / (8 * math.pi * cos_a * zi * zr)
+    lobe = exp(-0.5 * t2) / s * g / (8 * math.pi * cos_a * zi * zr)
     return k_s * lobe, lobe, k_s * lobe * (t2 / sigma - d_s / s)
 
 

@@ -200,6 +200,19 @@ class Limits(_Record):
     multibounce: float | None = Field(
         default=None, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
     )
+    transmittance: float | None = Field(
+        default=None,
+        gt=0,
+        le=1,
+        description="T_d of the dome where the lamp shines in; a standard in reflection is lit "
+        "through it, a sample in transmission is not",
+    )
+    ambient: float | None = Field(
+        default=None,
+        ge=0,
+        description="estimate of the room light on the sample, as a fraction of the lamp's "
+        "irradiance at normal incidence; frames without a sample do not hold it",
+    )
 
 
 class Channel(_Record):
@@ -210,15 +223,31 @@ class Channel(_Record):
 
 
 class Plan(_Record):
-    """Which frames are taken: angles in degrees, exposures in seconds."""
+    """Which frames are taken: angles in degrees, exposures in seconds.
 
-    theta_i_deg: tuple[float, ...] = Field(min_length=1)
+    Background and standard are taken at every incidence of the sample. With `standard_theta_i_deg`
+    the standard is taken at that one only, and the backgrounds are one more: the last belongs to
+    the standard. In transmission it alone is taken with the lamp above, the others with the lamp
+    below and its way closed. A session of a mirror has no standard.
+    """
+
+    theta_i_deg: tuple[float, ...] = Field(
+        min_length=1, description="0 to 90; below 0, the lamp at azimuth 180 deg, for a mirror only"
+    )
     rotations_deg: tuple[float, ...] = Field(min_length=1)
     exposures_s: tuple[float, ...] = Field(min_length=1)
     repeats: int = Field(default=1, ge=1, description="takes of each background and standard frame")
     channels: tuple[Channel, ...] = Field(default=(Channel(),), min_length=1, max_length=100)
-    mode: Literal["reflection", "transmission"] = Field(
-        default="reflection", description="transmission: the lamp stands below the sample"
+    mode: Literal["reflection", "transmission", "mirror"] = Field(
+        default="reflection",
+        description="transmission: the lamp stands below the sample; mirror: a plane mirror lies "
+        "in its place and shows where the pixels look",
+    )
+    wedge_deg: float = Field(
+        default=0.0,
+        ge=0,
+        lt=45,
+        description="tilt of the mirror's normal, towards the azimuth of its rotation",
     )
     standard_theta_i_deg: float | None = Field(
         default=None,
@@ -239,22 +268,66 @@ class Plan(_Record):
             raise ValueError("channels must have different names")
         return self
 
+    @model_validator(mode="after")
+    def _possible(self) -> Plan:
+        lowest = -90 if self.mode == "mirror" else 0
+        standard = () if self.standard_theta_i_deg is None else (self.standard_theta_i_deg,)
+        for angle in (*self.theta_i_deg, *standard):
+            if not lowest <= angle <= 90:
+                raise ValueError(f"theta_i = {angle:g} deg must lie in {lowest} to 90 deg")
+        if self.mode == "transmission" and not standard:
+            raise ValueError(
+                "transmission needs standard_theta_i_deg, the incidence of the standard, which is "
+                "taken in reflection"
+            )
+        if self.mode == "mirror" and standard:
+            raise ValueError("a session of a mirror has no standard")
+        if self.mode != "mirror" and self.wedge_deg:
+            raise ValueError("wedge_deg belongs to a session of a mirror")
+        return self
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """Roles that have frames, in the order in which they are taken."""
+        return tuple(role for role in ROLES if self.takes(role))
+
     def takes(self, role: str) -> int:
         """Rotations for the sample, repeats for background and standard."""
+        if role == "standard" and self.mode == "mirror":
+            return 0
         return len(self.rotations_deg) if role == "sample" else self.repeats
 
+    def incidences(self, role: str) -> tuple[float, ...]:
+        """Angles of the lamp, degrees, at which the images of a role are taken.
+
+        Examples
+        --------
+        >>> at_45 = Plan(theta_i_deg=(0, 30, 60), rotations_deg=(0,), exposures_s=(0.01,),
+        ...              standard_theta_i_deg=45)
+        >>> at_45.incidences("standard"), at_45.incidences("background")
+        ((45.0,), (0.0, 30.0, 60.0, 45.0))
+        """
+        if self.standard_theta_i_deg is None or role == "sample":
+            return self.theta_i_deg
+        own = (self.standard_theta_i_deg,)
+        return own if role == "standard" else self.theta_i_deg + own
+
     def images(self) -> Iterator[tuple[Role, int, int]]:
-        """(role, take, incidence) in the order in which they are taken."""
+        """(role, take, incidence) in the order in which they are taken, each in every channel."""
         for role in ROLES:
             for take in range(self.takes(role)):
-                for incidence in range(len(self.theta_i_deg)):
+                for incidence in range(len(self.incidences(role))):
                     yield role, take, incidence
+
+    @property
+    def n_images(self) -> int:
+        """Number of images of a complete session; each has a frame a channel and exposure."""
+        return sum(self.takes(role) * len(self.incidences(role)) for role in ROLES)
 
     @property
     def n_frames(self) -> int:
         """Number of frames of a complete session."""
-        takes = sum(self.takes(role) for role in ROLES)
-        return takes * len(self.theta_i_deg) * len(self.exposures_s)
+        return self.n_images * len(self.exposures_s) * len(self.channels)
 
 
 class Metadata(_Record):

@@ -3,13 +3,14 @@
 A session is a folder:
 
 - `session.json`: metadata, written before the first frame, synced and renamed;
-- `frames.zarr`: zarr v3, one array a role, one chunk a frame;
+- `frames.zarr`: zarr v3, one array a role, one chunk a frame; dimensions take, incidence,
+  exposure, row, column, and channel before them where there are several;
 - `manifest.jsonl`: one line a frame with its crc32, appended and synced after the frame itself is
   on the disk. A frame is in the session when its line is: a crash loses at most the frame that
   was being written.
 
 A simulated session has a folder `truth` beside these, written by the simulator; nothing in this
-module reads it but `read_truth`, which the reduction never calls.
+module reads it but `read_truth` and `open_truth_images`, which the reduction never calls.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from pydantic import ValidationError
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.files import write_text
-from gonio.metadata import ROLES, SCHEMA, Metadata, Plan
+from gonio.metadata import SCHEMA, Metadata, Plan
 
 MAX_FRAME_PIXELS = 1 << 28
 MAX_FRAMES = 1 << 24
@@ -134,23 +135,33 @@ class Session:
                 value=self.path,
             )
 
-    def has(self, role: str, take: int, incidence: int, exposure: int) -> bool:
+    def has(self, role: str, take: int, incidence: int, exposure: int, *, channel: int = 0) -> bool:
         """True if this frame is safely on the disk."""
-        return _key(role, take, incidence, exposure) in self._manifest
+        return _key(role, take, incidence, exposure, channel) in self._manifest
 
-    def frame(self, role: str, take: int, incidence: int, exposure: int) -> Frame:
+    def frame(
+        self, role: str, take: int, incidence: int, exposure: int, *, channel: int = 0
+    ) -> Frame:
         """One raw frame, shape (rows, columns), checked against its crc32.
+
+        Parameters
+        ----------
+        role : str
+            One of `metadata.plan.roles`.
+        take, incidence, exposure, channel : int
+            Indices into the plan's takes and incidences of that role, exposures and channels.
 
         Raises
         ------
         DataError
             If the frame is missing, cannot be read, or its content has changed.
         """
-        key = _key(role, take, incidence, exposure)
+        key = _key(role, take, incidence, exposure, channel)
         if key not in self._manifest:
             raise DataError(f"{self.path}: frame {key} is missing.", value=key)
         try:
-            frame: Frame = np.asarray(self._array(role)[take, incidence, exposure])
+            place = self._place(take, incidence, exposure, channel)
+            frame: Frame = np.asarray(self._array(role)[place])
         except Exception as error:  # zarr's codecs raise many kinds
             raise DataError(
                 f"{self.path}: frame {key} cannot be read ({error}); it is damaged, take it again.",
@@ -163,12 +174,21 @@ class Session:
             )
         return frame
 
-    def bracket(self, role: str, take: int, incidence: int) -> Frame:
+    def bracket(self, role: str, take: int, incidence: int, *, channel: int = 0) -> Frame:
         """All exposures of one image, shape (exposures, rows, columns)."""
         n = len(self.metadata.plan.exposures_s)
-        return np.stack([self.frame(role, take, incidence, k) for k in range(n)])
+        return np.stack([self.frame(role, take, incidence, k, channel=channel) for k in range(n)])
 
-    def write(self, role: str, take: int, incidence: int, exposure: int, frame: Frame) -> None:
+    def write(
+        self,
+        role: str,
+        take: int,
+        incidence: int,
+        exposure: int,
+        frame: Frame,
+        *,
+        channel: int = 0,
+    ) -> None:
         """Put one frame on the disk and acknowledge it in the manifest, both synced.
 
         Raises
@@ -176,7 +196,8 @@ class Session:
         DataError
             If the disk refuses; the session keeps the frames acknowledged so far.
         """
-        key = _key(role, take, incidence, exposure)
+        key = _key(role, take, incidence, exposure, channel)
+        place = self._place(take, incidence, exposure, channel)
         camera = self.metadata.camera
         if frame.shape != (camera.rows, camera.columns) or frame.dtype != np.uint16:
             raise DataError(
@@ -184,8 +205,8 @@ class Session:
                 f"({camera.rows}, {camera.columns})."
             )
         try:
-            self._array(role)[take, incidence, exposure] = frame
-            _sync(self._chunk_path(role, take, incidence, exposure))
+            self._array(role)[place] = frame
+            _sync(self._chunk_path(role, place))
             crc = zlib.crc32(frame.tobytes())
             line = json.dumps({"frame": key, "crc32": crc}) + "\n"
             with (self.path / "manifest.jsonl").open("a", encoding="utf-8") as manifest:
@@ -203,9 +224,13 @@ class Session:
             self._arrays[role] = zarr.open_array(self.path / "frames.zarr" / role, mode="r+")
         return self._arrays[role]
 
-    def _chunk_path(self, role: str, take: int, incidence: int, exposure: int) -> Path:
-        folder = self.path / "frames.zarr" / role / "c"
-        return folder / str(take) / str(incidence) / str(exposure) / "0" / "0"
+    def _place(self, take: int, incidence: int, exposure: int, channel: int) -> tuple[int, ...]:
+        """Index of a frame in its role's array."""
+        place = (take, incidence, exposure)
+        return (channel, *place) if len(self.metadata.plan.channels) > 1 else place
+
+    def _chunk_path(self, role: str, place: tuple[int, ...]) -> Path:
+        return self.path.joinpath("frames.zarr", role, "c", *map(str, place), "0", "0")
 
 
 def read_truth(path: str | Path) -> dict[str, Any] | None:
@@ -218,6 +243,19 @@ def read_truth(path: str | Path) -> dict[str, Any] | None:
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{file}: not readable ({error}).", value=file) from None
     return content
+
+
+def open_truth_images(path: str | Path) -> Any | None:
+    """The zarr group of what the simulator drew and knows by the pixel, or None where absent.
+
+    Its arrays are described in `gonio.instrument.truth`. For comparison only.
+    """
+    folder = Path(path) / "truth" / "images.zarr"
+    if not folder.is_dir():
+        return None
+    import zarr
+
+    return zarr.open_group(folder, mode="r")
 
 
 def _can_become_session(path: Path) -> bool:
@@ -236,21 +274,21 @@ def _create_arrays(path: Path, metadata: Metadata) -> None:
 
     camera, plan = metadata.camera, metadata.plan
     group = zarr.open_group(path, mode="w", zarr_format=3)
-    for role in ROLES:
-        shape = (
-            plan.takes(role),
-            len(plan.theta_i_deg),
-            len(plan.exposures_s),
-            camera.rows,
-            camera.columns,
-        )
+    several = len(plan.channels) > 1
+    for role in plan.roles:
+        sizes = {
+            **({"channel": len(plan.channels)} if several else {}),
+            "take": plan.takes(role),
+            "incidence": len(plan.incidences(role)),
+            "exposure": len(plan.exposures_s),
+        }
         group.create_array(
             role,
-            shape=shape,
-            chunks=(1, 1, 1, camera.rows, camera.columns),
+            shape=(*sizes.values(), camera.rows, camera.columns),
+            chunks=(*(1 for _ in sizes), camera.rows, camera.columns),
             dtype="uint16",
             compressors=[BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle")],
-            dimension_names=["take", "incidence", "exposure", "row", "column"],
+            dimension_names=[*sizes, "row", "column"],
         )
 
 
@@ -261,9 +299,10 @@ def _read_manifest(path: Path, plan: Plan) -> dict[str, int]:
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
     known = {
-        _key(role, take, incidence, k)
+        _key(role, take, incidence, k, channel)
         for role, take, incidence in plan.images()
         for k in range(len(plan.exposures_s))
+        for channel in range(len(plan.channels))
     }
     manifest = {}
     for number, line in enumerate(whole.splitlines(), start=1):
@@ -282,8 +321,10 @@ def _read_manifest(path: Path, plan: Plan) -> dict[str, int]:
     return manifest
 
 
-def _key(role: str, take: int, incidence: int, exposure: int) -> str:
-    return f"{role}/{take}/{incidence}/{exposure}"
+def _key(role: str, take: int, incidence: int, exposure: int, channel: int) -> str:
+    """A frame's name in the manifest; that of the first channel does not tell the channel."""
+    key = f"{role}/{take}/{incidence}/{exposure}"
+    return f"{key}/c{channel}" if channel else key
 
 
 def _sync(path: Path) -> None:

@@ -5,53 +5,104 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gonio import __version__
 from gonio.errors import ConfigurationError
 from gonio.files import write_text
-from gonio.geometry import FloatArray, rotated
+from gonio.geometry import FloatArray
 from gonio.instrument import Instrument, load
 from gonio.materials import get as get_material
-from gonio.metadata import (
-    Camera,
-    Certificate,
-    Geometry,
-    LampRecord,
-    LensCalibration,
-    Limits,
-    Metadata,
-    Plan,
-)
+from gonio.metadata import Plan, Role
 from gonio.models import Model
 from gonio.models import get as get_model
 from gonio.session import Session
 
+if TYPE_CHECKING:
+    from gonio.instrument.images import Images, Surface
+    from gonio.instrument.truth import TruthImages
+
 N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, section 4.2)
 ANISOTROPIC_ROTATIONS_DEG = (0.0, 45.0, 90.0)
+STANDARD_AT_DEG = 45.0  # in transmission: off the way of light that goes straight through
+MIRROR = "mirror"  # name of the sample in a session for the alignment
+MIRROR_STEP_DEG = 15.0
+WEDGE_ROTATIONS_DEG = tuple(45.0 * k for k in range(8))
 
 _MAX_PENDING = 12  # frames that wait for the disk while the next image is computed
+_SPOT_SHARE = 0.6  # of the counts' range that the brightest pixel of a mirror's image takes
 
 Progress = Callable[[int, int], None]
+Values = float | Sequence[float]
 
 
 def default_plan(instrument: Instrument, *, anisotropic: bool) -> Plan:
     """21 incidence angles from 0 to the arm's reach; three rotations where phi_i matters."""
+    from gonio.instrument.records import channels
+
     angles = np.linspace(0, instrument.theta_i_max_deg, N_INCIDENCES)
     return Plan(
         theta_i_deg=tuple(float(a) for a in angles),
         rotations_deg=ANISOTROPIC_ROTATIONS_DEG if anisotropic else (0.0,),
         exposures_s=instrument.sensor.exposures_s,
+        channels=channels(instrument),
     )
 
 
-def is_anisotropic(model: Model, parameters: Mapping[str, float]) -> bool:
+def transmission_plan(
+    instrument: Instrument, *, anisotropic: bool, standard_theta_i_deg: float | None = None
+) -> Plan:
+    """The default plan with the lamp below; the standard is taken once, in reflection."""
+    plan = default_plan(instrument, anisotropic=anisotropic)
+    at = min(STANDARD_AT_DEG, instrument.theta_i_max_deg)
+    given = at if standard_theta_i_deg is None else standard_theta_i_deg
+    return Plan.model_validate(
+        plan.model_dump() | {"mode": "transmission", "standard_theta_i_deg": given}
+    )
+
+
+def mirror_plan(instrument: Instrument, *, wedge_deg: float = 0.0) -> Plan:
+    """What an alignment needs: a mirror, the lamp on both sides, exposures that do not saturate.
+
+    A level mirror shows the lamp in its own plane only; a wedge of some degrees, turned with the
+    holder, spreads the spots over the dome.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    wedge_deg : float
+        Tilt of the mirror's normal, degrees.
+    """
+    from gonio.instrument import imaging, mirror
+    from gonio.instrument.records import channels
+
+    steps = int(instrument.theta_i_max_deg // MIRROR_STEP_DEG)
+    sensor = instrument.sensor
+    # One ray a pixel tells how bright a pixel can be at most.
+    coarse = instrument.model_copy(update={"rays_per_pixel": 1})
+    rate = mirror.brightest_rate(coarse, imaging.trace_rays(coarse, 0))
+    rate *= max(channel.relative_rate for channel in instrument.channels)
+    range_dn = sensor.saturation_dn - sensor.binned_black_dn
+    full_e = min(sensor.binned_full_well_e, range_dn / sensor.binned_gain_dn_per_e)
+    longest = float(f"{_SPOT_SHARE * full_e / rate:.2g}")
+    return Plan(
+        theta_i_deg=tuple(MIRROR_STEP_DEG * k for k in range(-steps, steps + 1)),
+        rotations_deg=WEDGE_ROTATIONS_DEG if wedge_deg else (0.0,),
+        exposures_s=(longest / 4, longest),
+        channels=channels(instrument),
+        mode="mirror",
+        wedge_deg=wedge_deg,
+    )
+
+
+def is_anisotropic(model: Model, parameters: Mapping[str, Values]) -> bool:
     """Whether turning the surface about its normal changes what it reflects.
 
     Not where the model claims so, nor where alpha_x = alpha_y.
@@ -60,15 +111,19 @@ def is_anisotropic(model: Model, parameters: Mapping[str, float]) -> bool:
     ----------
     model : Model
     parameters : mapping
-        All of its parameters.
+        All of its parameters, with one value or one a channel.
 
     Examples
     --------
     >>> is_anisotropic(get_model("ward"), {"alpha_x": 0.1, "alpha_y": 0.1})
     False
     """
-    alike = "alpha_x" in parameters and parameters["alpha_x"] == parameters.get("alpha_y")
-    return not (model.claims.isotropic or alike)
+    if model.claims.isotropic:
+        return False
+    if not {"alpha_x", "alpha_y"} <= set(parameters):
+        return True
+    x, y = (np.atleast_1d(parameters[name]) for name in ("alpha_x", "alpha_y"))
+    return bool(np.any(x != y))
 
 
 def simulate(
@@ -76,34 +131,40 @@ def simulate(
     *,
     output: str | Path,
     model: str | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Mapping[str, Values] | None = None,
     instrument: str | Instrument = "modern12",
     plan: Plan | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
+    truth_images: bool | None = None,
 ) -> Session:
     """Record the raw frames of a surface on a virtual instrument.
 
     Parameters
     ----------
     material : str, optional
-        A named material; or give `model` and `parameters`.
+        A named material; or give `model` and `parameters`; or neither, and a plan for a mirror.
     output : path
         Folder of the session. Where the same call was interrupted it continues: frames that were
         acknowledged are kept, and the result is bit-identical to an uninterrupted run.
     model, parameters : str, mapping, optional
-        A model by name and its parameters (radians for angles).
+        A model by name and its parameters (radians for angles), one value or one for each channel
+        of the instrument.
     instrument : str or Instrument
         A preset, a TOML file, or an instrument.
     plan : Plan, optional
-        Angles, rotations, exposures, repeats; `default_plan` where not given.
+        Angles, rotations, exposures, repeats; `default_plan` where not given. See also
+        `transmission_plan` and `mirror_plan`. Its channels are those of the instrument.
     seed : int
         Everything random follows from it: 0 <= seed < 2**63.
     threads : int, optional
         The frames do not depend on it.
     progress : callable, optional
         Called with (frames done, frames in all).
+    truth_images : bool, optional
+        Write what the simulator knows by the pixel into the session's folder `truth`; where not
+        given, if that takes at most a fifth of the frames' space.
 
     Returns
     -------
@@ -116,38 +177,83 @@ def simulate(
     DataError
         If the disk refuses to take the frames.
     """
+    from gonio.instrument.records import metadata
+    from gonio.instrument.truth import economical
+
     if not 0 <= seed < 2**63:
         raise ConfigurationError(f"seed = {seed} is out of range; allowed is 0 to 2^63 - 1.")
-    surface = _surface(material, model, parameters)
     rig = load(instrument) if isinstance(instrument, str) else instrument
-    named = dict(zip(surface.model.names, surface.p.tolist(), strict=True))
-    plan = plan or default_plan(rig, anisotropic=is_anisotropic(surface.model, named))
-    recipe = {
+    is_mirror = plan is not None and plan.mode == "mirror"
+    surface = _mirror(rig, material, model) if is_mirror else _surface(
+        rig, material, model, parameters
+    )  # fmt: skip
+    plan = _completed(rig, plan, surface)
+    recipe = _recipe(rig, surface, plan, seed)
+    fingerprint = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    session = Session.create(output, metadata(rig, plan, surface.name, fingerprint))
+    draws = Draws.from_seed(seed, rig, plan)
+    _write_truth(session.path, recipe, surface, rig, plan, draws)
+    if not session.complete:
+        wanted = economical(plan) if truth_images is None else truth_images
+        _record(session, surface, rig, plan, draws, threads, progress, wanted)
+    return session
+
+
+def _completed(rig: Instrument, plan: Plan | None, surface: Surface) -> Plan:
+    """The plan with what follows from the instrument; `default_plan` where there is none."""
+    from gonio.instrument.records import channels, irradiance_uncertainty
+
+    if plan is None:
+        assert surface.model is not None
+        plan = default_plan(rig, anisotropic=is_anisotropic(surface.model, _named(surface)))
+    change: dict[str, Any] = {"channels": channels(rig)}
+    if plan.u_irradiance is None:
+        change["u_irradiance"] = irradiance_uncertainty(rig, plan)
+    return plan.model_copy(update=change)
+
+
+def _named(surface: Surface) -> dict[str, Values]:
+    """Parameters by name: a number, or a list of one a channel where they differ."""
+    if surface.model is None:
+        return {}
+    columns = np.stack(surface.p, axis=1).tolist()
+    return {
+        name: values if len(set(values)) > 1 else values[0]
+        for name, values in zip(surface.model.names, columns, strict=True)
+    }
+
+
+def _recipe(rig: Instrument, surface: Surface, plan: Plan, seed: int) -> dict[str, Any]:
+    """Everything that a session follows from."""
+    return {
         "version": __version__,
-        "model": surface.model.name,
-        "parameters": named,
+        "model": surface.model.name if surface.model else MIRROR,
+        "parameters": _named(surface),
         "instrument": rig.model_dump(mode="json"),
         "plan": plan.model_dump(mode="json"),
         "seed": seed,
     }
-    fingerprint = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    session = Session.create(output, _metadata(rig, plan, surface.name, fingerprint))
-    _write_truth(session.path, recipe, surface, rig, plan, seed)
-    if not session.complete:
-        _record(session, surface, rig, plan, seed, threads, progress)
-    return session
 
 
-@dataclass(frozen=True)
-class _Surface:
-    name: str
-    model: Model
-    p: FloatArray
+def _mirror(rig: Instrument, material: str | None, model: str | None) -> Surface:
+    from gonio.instrument.images import Surface
+
+    if material is not None or model is not None:
+        raise ConfigurationError(
+            "the plan is one for a mirror; give neither a material nor a model with it.",
+            value=material or model,
+        )
+    return Surface(MIRROR, None, (np.empty(0),) * len(rig.channels))
 
 
 def _surface(
-    material: str | None, model: str | None, parameters: Mapping[str, float] | None
-) -> _Surface:
+    rig: Instrument,
+    material: str | None,
+    model: str | None,
+    parameters: Mapping[str, Values] | None,
+) -> Surface:
+    from gonio.instrument.images import Surface
+
     if (material is None) == (model is None):
         raise ConfigurationError("give either a material or a model with its parameters.")
     if material is not None:
@@ -157,198 +263,178 @@ def _surface(
             )
         found = get_material(material)
         chosen = get_model(found.model)
-        return _Surface(found.name, chosen, chosen.vector(found.parameters))
+        return Surface(found.name, chosen, (chosen.vector(found.parameters),) * len(rig.channels))
     assert model is not None
     chosen = get_model(model)
-    return _Surface(chosen.name, chosen, chosen.vector(parameters or {}))
+    return Surface(chosen.name, chosen, parameter_vectors(rig, chosen, parameters or {}))
 
 
-def _metadata(rig: Instrument, plan: Plan, sample: str, fingerprint: str) -> Metadata:
-    """What the operator of a real rig would know, and nothing else."""
-    sensor, standard = rig.sensor, rig.standard
-    rows, columns = sensor.shape
-    pitch_x, pitch_y = (p * 1e-3 * sensor.binning for p in sensor.pitch_um)
-    return Metadata(
-        schema="gonio.session/1",
-        instrument=rig.name,
-        sample=sample,
-        geometry=Geometry(
-            shape=rig.dome.shape,
-            R=rig.dome.R,
-            D=rig.dome.D,
-            usable_theta_r_deg=rig.usable_theta_r_deg,
-        ),
-        lens=LensCalibration(
-            projection=rig.lens.projection,
-            focal_length_mm=rig.lens.focal_length_mm,
-            k=rig.lens.k,
-            field_deg=rig.lens.field_deg,
-        ),
-        camera=Camera(
-            rows=rows,
-            columns=columns,
-            pitch_mm=(pitch_x, pitch_y),
-            gain_dn_per_e=sensor.gain_dn_per_e,
-            black_dn=sensor.binned_black_dn,
-            saturation_dn=sensor.saturation_dn,
-            full_well_e=sensor.binned_full_well_e,
-            noise_dn=sensor.binned_noise_dn,
-            dark_e_per_s=sensor.dark_e_per_s * sensor.n_summed,
-        ),
-        standard=Certificate(
-            reflectance=standard.reflectance,
-            uncertainty=standard.uncertainty,
-            rolloff=standard.rolloff if standard.rolloff_certified else 0.0,
-            rolloff_uncertainty=standard.rolloff_uncertainty,
-        ),
-        lamp=LampRecord(half_angle_deg=rig.lamp.half_angle_deg, drift=rig.lamp.drift),
-        limits=Limits(
-            slope_error_deg=rig.dome.slope_error_deg,
-            rim_slope_error_deg=rig.dome.rim_slope_error_deg,
-            slope_correlation_deg=rig.dome.slope_correlation_deg,
-            multibounce=rig.surroundings.multibounce,
-        ),
-        plan=plan,
-        fingerprint=fingerprint,
+def parameter_vectors(
+    rig: Instrument, model: Model, parameters: Mapping[str, Values]
+) -> tuple[FloatArray, ...]:
+    """A model's checked parameter vector for every channel of an instrument.
+
+    Raises
+    ------
+    ConfigurationError
+        If a parameter has neither one value nor one for each channel, or a value is not allowed.
+
+    Examples
+    --------
+    >>> from gonio.instrument import preset
+    >>> rig = preset("ideal12")
+    >>> [p.tolist() for p in parameter_vectors(rig, get_model("lambert"), {"rho": 0.3})]
+    [[0.3]]
+    """
+    n = len(rig.channels)
+    by_name: dict[str, FloatArray] = {}
+    for name, values in parameters.items():
+        model.parameter(name)
+        given = np.atleast_1d(np.asarray(values, float))
+        if given.shape not in ((1,), (n,)):
+            raise ConfigurationError(
+                f"{name} has {given.size} values and {rig.name} has {n} "
+                f"channel{'s' if n > 1 else ''}; give one value{' or one for each' * (n > 1)}.",
+                value=values,
+            )
+        by_name[name] = np.broadcast_to(given, n)
+    return tuple(
+        model.vector({name: float(values[c]) for name, values in by_name.items()}) for c in range(n)
     )
 
 
 @dataclass(frozen=True)
-class _Draws:
+class Draws:
     """What chance decides once: the standard's error and the lamp's output for every image."""
 
     standard_scale: float
-    lamp: FloatArray  # one factor an image, in the plan's order
-    pattern_seed: int  # the camera's fixed pattern
-    dome_seed: int  # the dome's slope errors
+    lamp: FloatArray  # (images in the plan's order, channels)
+    pattern_seed: int  # the camera's fixed patterns
+    dome_seed: int  # the dome's slope errors and coating
     noise_seed: int
 
     @classmethod
-    def from_seed(cls, seed: int, rig: Instrument, n_images: int) -> _Draws:
+    def from_seed(cls, seed: int, rig: Instrument, plan: Plan) -> Draws:
+        """Draw them; what further channels and a slow drift need comes last."""
+        n = plan.n_images
         rng = np.random.default_rng(seed)
         seeds = rng.integers(0, 2**63, size=3)
         standard = 1 + rig.standard.uncertainty * rng.standard_normal()
-        lamp = 1 + rig.lamp.drift * rng.standard_normal(n_images)
+        drawn = [rng.standard_normal(n) for _ in plan.channels]
+        lamp = 1 + rig.lamp.drift * np.stack(drawn, axis=1)
+        if rig.lamp.slow_drift:
+            # A random walk: the images follow each other in time, a step of the arm apart.
+            wander = np.cumsum(rig.lamp.slow_drift * rng.standard_normal(n))
+            lamp *= np.exp(wander)[:, None]
         return cls(float(standard), lamp, *(int(s) for s in seeds))
 
 
 def _write_truth(
     path: Path,
     recipe: Mapping[str, Any],
-    surface: _Surface,
+    surface: Surface,
     rig: Instrument,
     plan: Plan,
-    seed: int,
+    draws: Draws,
 ) -> None:
+    from gonio.instrument import imaging
+
     folder = path / "truth"
     folder.mkdir(exist_ok=True)
-    images = list(plan.images())
-    draws = _Draws.from_seed(seed, rig, len(images))
+    entry = {
+        angle: imaging.entry_transmittance(rig, np.radians(angle), draws.dome_seed)
+        for role in plan.roles
+        for angle in plan.incidences(role)
+    }
     truth = {
         "schema": "gonio.truth/1",
         "material": surface.name,
         **recipe,
         "standard_scale": draws.standard_scale,
-        "lamp": draws.lamp.tolist(),
+        "lamp": draws.lamp.ravel().tolist(),  # channels of an image stand together
+        "entry_transmittance": [{"theta_i_deg": a, "relative": t} for a, t in entry.items()],
     }
     write_text(folder / "truth.json", json.dumps(truth, indent=1) + "\n")
 
 
 def _record(
     session: Session,
-    surface: _Surface,
+    surface: Surface,
     rig: Instrument,
     plan: Plan,
-    seed: int,
+    draws: Draws,
     threads: int | None,
     progress: Progress | None,
+    truth_images: bool,
 ) -> None:
     """Expose and write every frame that is not there yet, in the plan's order."""
-    n = plan.n_frames
-    sensor = rig.sensor
+    from gonio.instrument.images import Fixed, Images
+
+    fixed = Fixed(draws.dome_seed, draws.pattern_seed, draws.standard_scale)
+    images = Images(rig, surface, plan, fixed, threads=threads)
+    truth = _truth_images(session, images) if truth_images else None
     writer = ThreadPoolExecutor(1)
     pending: deque[Future[None]] = deque()
 
     def finish_one() -> None:
         pending.popleft().result()
         if progress is not None:
-            progress(session.n_done, n)
+            progress(session.n_done, plan.n_frames)
 
     try:
-        for number, key, rate, draws in _images(session, surface, rig, plan, seed, threads):
-            for k, time_s in enumerate(plan.exposures_s):
-                if session.has(*key, k):
-                    continue
-                from gonio.instrument.noise import expose
-
-                frame = expose(
-                    rate,
-                    time_s,
-                    dark_e_per_s=sensor.dark_e_per_s * sensor.n_summed,
-                    full_well_e=sensor.binned_full_well_e,
-                    gain_dn_per_e=sensor.gain_dn_per_e,
-                    noise_dn=sensor.binned_noise_dn,
-                    black_dn=sensor.binned_black_dn,
-                    saturation_dn=sensor.saturation_dn,
-                    seed=draws.noise_seed,
-                    frame=number * len(plan.exposures_s) + k,
-                    threads=threads,
-                )
-                # Frames are written while later ones are exposed; the order stays the plan's.
-                pending.append(writer.submit(session.write, *key, k, frame))
-                if len(pending) > _MAX_PENDING:
-                    finish_one()
+        for write in _frames(session, images, draws, truth):
+            # Frames are written while later ones are exposed; the order stays the plan's.
+            pending.append(writer.submit(write))
+            if len(pending) > _MAX_PENDING:
+                finish_one()
         while pending:
             finish_one()
     finally:
         writer.shutdown(cancel_futures=True)
 
 
-def _images(
-    session: Session,
-    surface: _Surface,
-    rig: Instrument,
-    plan: Plan,
-    seed: int,
-    threads: int | None,
-) -> Iterator[tuple[int, tuple[str, int, int], FloatArray, _Draws]]:
-    """Expected photo-electrons a second for every image that still lacks a frame."""
-    from gonio.instrument import imaging
+def _truth_images(session: Session, images: Images) -> TruthImages:
+    from gonio.instrument.truth import TruthImages
 
-    images = list(plan.images())
-    draws = _Draws.from_seed(seed, rig, len(images))
-    rays = imaging.trace_rays(rig, draws.dome_seed, threads=threads)
-    response = rig.sensor.response(draws.pattern_seed).ravel()
-    white = imaging.white_rate(rig, rays)
-    f_standard = imaging.standard_brdf(rig, rays)
-    turned: tuple[float, FloatArray] = (0.0, rays.w_r)
-    for number, (role, take, incidence) in enumerate(images):
-        if all(session.has(role, take, incidence, k) for k in range(len(plan.exposures_s))):
-            continue
-        theta_i = np.radians(plan.theta_i_deg[incidence])
-        signal = np.zeros(len(rays.pixel))
-        if role != "background":
-            lit = imaging.lit_weights(rig, rays, theta_i)
-            if role == "standard":
-                f = draws.standard_scale * np.einsum("ij,ij->i", lit, f_standard)
-                rho = draws.standard_scale * rig.standard.reflectance
-            else:
-                psi = np.radians(plan.rotations_deg[take])
-                if turned[0] != psi:
-                    turned = (psi, imaging.in_sample_frame(rays, psi))
-                w_i = rotated(rig.lamp.directions(theta_i, rays.source), psi)
-                f = imaging.mean_brdf(
-                    surface.model, surface.p, w_i, turned[1], lit, threads=threads
-                )
-                centre = w_i.mean(axis=0)
-                rho = 0.0
-                if rig.surroundings.multibounce:
-                    rho = imaging.albedo(surface.model, surface.p, centre / np.linalg.norm(centre))
-            gain = 1 + rig.surroundings.multibounce * rho
-            signal = white * np.cos(theta_i) * np.pi * f * gain
-        signal += imaging.stray_rate(rig, rays, theta_i)
-        signal *= draws.lamp[number]
-        signal += rig.surroundings.ambient * white
-        rate = np.zeros(rig.sensor.shape)
-        rate.ravel()[rays.pixel] = np.maximum(signal, 0.0)
-        yield number, (role, take, incidence), (rate.ravel() * response).reshape(rate.shape), draws
+    truth = TruthImages(session.path / "truth", images)
+    truth.write_maps()
+    return truth
+
+
+def _frames(
+    session: Session, images: Images, draws: Draws, truth: TruthImages | None
+) -> Iterator[Callable[[], None]]:
+    """What writes each frame that the session lacks, exposed already."""
+    from gonio.instrument.noise import expose
+
+    plan, sensor = images.plan, images.instrument.sensor
+    n_exposures, n_channels = len(plan.exposures_s), len(plan.channels)
+    dark = sensor.dark_current(draws.pattern_seed)
+    figures = sensor.figures() | {"seed": draws.noise_seed, "threads": images.threads}
+    for number, image, missing in _missing(session, plan):
+        if truth is not None and image[0] == "sample":
+            truth.write_brdf(*image[1:])
+        rates = images.rates(*image, draws.lamp[number])
+        for channel, k in missing:
+            frame = expose(
+                rates[channel] + dark,
+                plan.exposures_s[k],
+                frame=(number * n_channels + channel) * n_exposures + k,
+                **figures,
+            )
+            yield partial(session.write, *image, k, frame, channel=channel)
+
+
+def _missing(
+    session: Session, plan: Plan
+) -> Iterator[tuple[int, tuple[Role, int, int], list[tuple[int, int]]]]:
+    """Number and key of every image that lacks frames, with the (channel, exposure) of each."""
+    for number, image in enumerate(plan.images()):
+        frames = [
+            (channel, k)
+            for channel in range(len(plan.channels))
+            for k in range(len(plan.exposures_s))
+            if not session.has(*image, k, channel=channel)
+        ]
+        if frames:
+            yield number, image, frames

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from gonio import models, simulation
+from gonio import models
 from gonio.geometry import angles, hemisphere_quadrature, unit_vectors
 from gonio.instrument import Instrument, imaging, preset
+from gonio.instrument.images import Fixed, Images, Surface
 from gonio.metadata import Plan
 
 LAMBERT, WARD = models.get("lambert"), models.get("ward")
@@ -33,20 +34,12 @@ def small(name="ideal12", n=104, **parts) -> Instrument:
 NO_STRAY = {"stray": 0.0, "entry_patch": 0.0}
 
 
-class Nothing:
-    """A session without a frame."""
-
-    @staticmethod
-    def has(*_):
-        return False
-
-
 def expected_rates(rig, model, theta_i_deg, psi_deg=0.0, **parameters):
     """Noise-free images, e-/s, by role."""
     plan = Plan(theta_i_deg=(theta_i_deg,), rotations_deg=(psi_deg,), exposures_s=(1.0,))
-    surface = simulation._Surface("", model, model.vector(parameters))
-    images = simulation._images(Nothing(), surface, rig, plan, 1, 1)
-    return {key[0]: rate for _, key, rate, _ in images}
+    surface = Surface("", model, (model.vector(parameters),))
+    made = Images(rig, surface, plan, Fixed(dome_seed=1, pattern_seed=2), threads=1)
+    return {image[0]: made.rates(*image, [1.0])[0] for image in plan.images()}
 
 
 def directions(rig):

@@ -1,4 +1,10 @@
-"""The three instruments that come with gonio, and the words with which wrong ones are refused."""
+"""The four instruments that come with gonio, and the words with which wrong ones are refused."""
+
+import json
+import re
+import tomllib
+from importlib.resources import files
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -6,6 +12,7 @@ from pydantic import ValidationError
 
 from gonio.errors import ConfigurationError
 from gonio.instrument import Dome, Instrument, Lens, Sensor, load, preset, preset_names
+from gonio.instrument.part import Part
 
 MS = (0.25e-3, 1e-3, 4e-3, 16e-3, 64e-3, 256e-3)
 KANNALA_BRANDT = (-0.012, 0.004, -0.0015, 0.0002)
@@ -33,6 +40,20 @@ EXPECTED = {
         "sensor.gain_dn_per_e": 0.38, "sensor.black_dn": 64, "sensor.exposures_s": MS,
         "lamp.half_angle_deg": 0, "lamp.drift": 0, "standard.reflectance": 0.99,
         "standard.uncertainty": 0, "standard.rolloff": 0, "surroundings.multibounce": 0,
+    },
+    "modern14": {
+        "usable_theta_r_deg": 80, "dome.shape": "ellipsoid", "dome.R": 150, "dome.D": 15,
+        "dome.reflectance": 0.45, "dome.transmittance": 0.45, "dome.slope_error_deg": 0.03,
+        "dome.rim_slope_error_deg": 0.2, "lens.projection": "kannala_brandt",
+        "lens.focal_length_mm": 3.6, "lens.pupil_mm": 0.9, "lens.vignetting": 0.25,
+        "lens.focus": "R/2", "sensor.rows": 3000, "sensor.columns": 3000,
+        "sensor.pitch_um": (3.76, 3.76), "sensor.full_well_e": 50_000,
+        "sensor.read_noise_e": 1.8, "sensor.dark_e_per_s": 0.05, "sensor.prnu": 0.005,
+        "sensor.bits": 14, "sensor.gain_dn_per_e": 0.32, "sensor.black_dn": 256,
+        "sensor.exposures_s": MS, "lamp.half_angle_deg": 0.5, "lamp.lit_diameter_mm": 16,
+        "lamp.drift": 0.003, "standard.reflectance": 0.99, "standard.rolloff": 0.10,
+        "standard.uncertainty": 0.005, "surroundings.stray": 1e-3, "surroundings.entry_patch": 3,
+        "surroundings.multibounce": 0.01,
     },
     "lbl1992": {
         "usable_theta_r_deg": 70, "dome.shape": "sphere", "dome.R": 300, "dome.D": 30,
@@ -62,7 +83,7 @@ def test_figures(name, key):
 
 class TestPresets:
     def test_all_are_listed(self):
-        assert {"modern12", "ideal12", "lbl1992"} <= set(preset_names())
+        assert preset_names() == ["ideal12", "lbl1992", "modern12", "modern14"]
         for name in preset_names():
             rig = preset(name)
             assert rig.name == name
@@ -95,6 +116,21 @@ class TestPresets:
         # 180 deg over the circle: 0.11 deg a pixel.
         assert 180 / diameter == pytest.approx(0.110, rel=0.025)
 
+    def test_modern14_is_modern12_with_a_larger_camera(self):
+        large, small = preset("modern14"), preset("modern12")
+        for part in ("holder", "dome", "standard", "surroundings"):
+            assert getattr(large, part) == getattr(small, part)
+        diameter = 2 * float(large.lens.radius(np.pi / 2)) / 3.76e-3
+        assert diameter == pytest.approx(2947, abs=0.5)
+        assert diameter < large.sensor.columns
+        # The same aperture: a pixel gets light in proportion to its area.
+        ratio = large.lamp.white_rate_e_per_s / small.lamp.white_rate_e_per_s
+        assert ratio == pytest.approx((3.76 / 3.45) ** 2, rel=0.01)
+        # Sixteen pixels of 14 bits are divided by 4: the full well and the converter's end fit.
+        assert large.sensor.saturation_dn <= 65535
+        full = large.sensor.binned_full_well_e * large.sensor.binned_gain_dn_per_e
+        assert full + large.sensor.binned_black_dn <= large.sensor.saturation_dn
+
     def test_the_white_standard_fills_none_of_the_short_exposures(self):
         for name in preset_names():
             rig = preset(name)
@@ -116,20 +152,92 @@ class TestPresets:
             preset("modern12").dome.R = 3.0
 
 
+def settings(part, prefix=""):
+    """Dotted names of all settings of an instrument and of its parts."""
+    for name, field in part.model_fields.items():
+        kinds = [field.annotation, *get_args(field.annotation)]
+        inner = next((k for k in kinds if isinstance(k, type) and issubclass(k, Part)), None)
+        if inner is None:
+            yield prefix + name
+        else:
+            yield from settings(inner, f"{prefix}{name}.")
+
+
+def toml(document):
+    """An instrument as TOML: its own settings, parts in [], channels in [[]]."""
+    own = [f"{k} = {json.dumps(v)}" for k, v in document.items()
+           if not isinstance(v, dict) and k != "channels"]  # fmt: skip
+    parts = [(f"[{k}]", v) for k, v in document.items() if isinstance(v, dict)]
+    parts += [("[[channels]]", channel) for channel in document["channels"]]
+    for header, part in parts:
+        own += [header, *(f"{k} = {json.dumps(v)}" for k, v in part.items())]
+    return "\n".join(own)
+
+
+class TestFiles:
+    """The files of the presets are what people start their own from."""
+
+    @pytest.mark.parametrize("name", preset_names())
+    def test_every_setting_stands_in_the_file_with_a_comment(self, name):
+        text = files("gonio.data").joinpath(f"instruments/{name}.toml").read_text("utf-8")
+        found, section, above = {}, "", ""
+        for line in text.splitlines():
+            if header := re.fullmatch(r"\[\[?(\w+)\]?\]", line):
+                section = f"{header[1]}."
+            # A setting without a value, as TOML has none for "not known", is commented out.
+            elif setting := re.match(r"(?:# )?(\w+) = [^#]*(#.*)?", line):
+                found[section + setting[1]] = setting[2] or above
+            above = line if line.startswith("# ") else ""
+        assert sorted(found) == sorted(settings(Instrument))
+        without = [key for key, comment in found.items() if len(comment) < 4]
+        assert without == []
+        assert max(map(len, text.splitlines())) <= 100
+
+    @pytest.mark.parametrize("name", preset_names())
+    def test_the_file_says_all_that_the_instrument_is(self, name):
+        # Nothing is left to a default that might change.
+        text = files("gonio.data").joinpath(f"instruments/{name}.toml").read_text("utf-8")
+        stated = preset(name).model_dump(mode="json")
+        stated["channels"][0].pop("wavelength_nm")
+        assert tomllib.loads(text) == stated
+
+    def test_parts_explain_every_setting(self):
+        for path in settings(Instrument):
+            *parts, key = path.split(".")
+            part = Instrument
+            for name in parts:
+                annotation = part.model_fields[name].annotation
+                part = next(iter(get_args(annotation)), annotation)
+            assert part.model_fields[key].description, path
+
+
 class TestRefusals:
+    @pytest.mark.parametrize("path", [p for p in settings(Instrument) if len(p.split(".")[-1]) > 4])
+    def test_a_misspelt_setting_is_named_with_the_nearest(self, tmp_path, path):
+        *part, key = path.split(".")
+        document = preset("modern14").model_dump(mode="json", exclude_none=True)
+        target = document
+        for name in part:
+            target = target[name][0] if name == "channels" else target[name]
+        # Two letters exchanged, and the right key left out.
+        wrong = key[:2] + key[3] + key[2] + key[4:] if key[2] != key[3] else key[:-1]
+        target[wrong] = target.pop(key, 1)
+        with pytest.raises(
+            ConfigurationError, match=f"unknown key '{wrong}': did you mean '{key}'"
+        ):
+            self.load_text(tmp_path, toml(document))
+
     def test_unknown_preset(self):
         with pytest.raises(
             ConfigurationError,
-            match=r"unknown instrument 'modern13': did you mean 'modern12'\? Known: ideal12,",
+            match=r"unknown instrument 'modren12': did you mean 'modern12'\? Known: ideal12,",
         ):
-            preset("modern13")
+            preset("modren12")
         with pytest.raises(ConfigurationError, match="unknown instrument 'modern13'"):
             load("modern13")
 
     @staticmethod
     def text(old="", new=""):
-        from importlib.resources import files
-
         text = files("gonio.data").joinpath("instruments/modern12.toml").read_text("utf-8")
         assert old in text
         return text.replace(old, new)

@@ -19,7 +19,7 @@ from gonio.metadata import (
     Metadata,
     Plan,
 )
-from gonio.session import Session, read_truth
+from gonio.session import Session, open_truth_images, read_truth
 
 SHAPE = (20, 24)
 PLAN = Plan(theta_i_deg=(0.0, 30.0), rotations_deg=(0.0, 90.0), exposures_s=(0.01, 0.04), repeats=1)
@@ -119,6 +119,86 @@ class TestRoundTrip:
     def test_the_plan_counts_its_frames(self):
         plan = PLAN.model_copy(update={"repeats": 3})
         assert plan.n_frames == 2 * 2 * (3 + 3 + 2) == len(all_frames(plan))
+
+
+class TestChannels:
+    PLAN = Plan(
+        **PLAN.model_dump(exclude={"channels"}),
+        channels=[{"name": "red", "wavelength_nm": 620}, {"name": "green"}, {"name": "blue"}],
+    )
+
+    @staticmethod
+    def frames(plan):
+        return [(*key, c) for key in all_frames(plan) for c in range(len(plan.channels))]
+
+    def test_frames_come_back_as_they_were(self, tmp_path):
+        session = Session.create(tmp_path / "s", metadata(plan=self.PLAN))
+        for number, (*key, channel) in enumerate(self.frames(self.PLAN)):
+            session.write(*key, picture(number), channel=channel)
+        again = Session.open(tmp_path / "s")
+        assert again.complete
+        assert again.n_done == self.PLAN.n_frames == 3 * PLAN.n_frames
+        for number, (*key, channel) in enumerate(self.frames(self.PLAN)):
+            np.testing.assert_array_equal(again.frame(*key, channel=channel), picture(number))
+        bracket = again.bracket("sample", 1, 1, channel=2)
+        np.testing.assert_array_equal(bracket[1], picture(self.PLAN.n_frames - 1))
+        # Who does not ask for a channel sees the first.
+        np.testing.assert_array_equal(
+            again.frame("standard", 0, 1, 1), again.frame("standard", 0, 1, 1, channel=0)
+        )
+
+    def test_the_arrays_say_what_their_axes_are(self, tmp_path, full):
+        import zarr
+
+        several = Session.create(tmp_path / "s", metadata(plan=self.PLAN))
+        one, many = (
+            zarr.open_array(path / "frames.zarr" / "sample") for path in (full, several.path)
+        )
+        assert one.metadata.dimension_names == ("take", "incidence", "exposure", "row", "column")
+        assert many.metadata.dimension_names == ("channel", *one.metadata.dimension_names)
+        assert many.shape == (3, *one.shape)
+        assert many.chunks == (1, 1, 1, 1, *SHAPE)
+
+    def test_a_frame_of_one_channel_is_not_that_of_another(self, tmp_path):
+        session = Session.create(tmp_path / "s", metadata(plan=self.PLAN))
+        session.write("sample", 0, 0, 0, picture(1), channel=2)
+        assert session.has("sample", 0, 0, 0, channel=2)
+        assert not session.has("sample", 0, 0, 0)
+        assert not session.complete
+        with pytest.raises(DataError, match="frame sample/0/0/0/c1 is missing"):
+            Session.open(tmp_path / "s").frame("sample", 0, 0, 0, channel=1)
+        line = json.loads((tmp_path / "s" / "manifest.jsonl").read_text())
+        assert line["frame"] == "sample/0/0/0/c2"
+
+    def test_a_channel_that_was_not_planned(self, full):
+        with (full / "manifest.jsonl").open("a") as file:
+            file.write('{"frame": "sample/0/0/0/c1", "crc32": 1}\n')
+        with pytest.raises(DataError, match="frame 'sample/0/0/0/c1' is not of the plan"):
+            Session.open(full)
+
+
+class TestStandardOnce:
+    PLAN = PLAN.model_copy(update={"standard_theta_i_deg": 45.0})
+
+    def test_the_plan_counts_its_images(self):
+        plan = self.PLAN
+        assert plan.incidences("sample") == (0, 30)
+        assert plan.incidences("standard") == (45,)
+        # One for each of the sample's incidences, and the standard's own.
+        assert plan.incidences("background") == (0, 30, 45)
+        assert plan.n_images == len(list(plan.images())) == 3 + 1 + 2 * 2
+        assert plan.n_frames == 2 * plan.n_images
+
+    def test_frames_come_back_as_they_were(self, tmp_path):
+        session = Session.create(tmp_path / "s", metadata(plan=self.PLAN))
+        for number, key in enumerate(all_frames(self.PLAN)):
+            session.write(*key, picture(number))
+        again = Session.open(tmp_path / "s")
+        assert again.complete
+        np.testing.assert_array_equal(again.frame("background", 0, 2, 1), picture(5))
+        np.testing.assert_array_equal(again.frame("standard", 0, 0, 0), picture(6))
+        with pytest.raises(DataError, match="frame standard/0/1/0 is missing"):
+            again.frame("standard", 0, 1, 0)
 
 
 class TestDamage:
@@ -320,6 +400,7 @@ class TestDiskFull:
 class TestTruth:
     def test_a_real_session_has_none(self, full):
         assert read_truth(full) is None
+        assert open_truth_images(full) is None
 
     def test_a_damaged_one_is_named(self, full):
         (full / "truth").mkdir()

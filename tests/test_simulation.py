@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import gonio
-from gonio import simulation
+from gonio import models, simulation
 from gonio.errors import ConfigurationError
-from gonio.instrument import Instrument, preset
+from gonio.geometry import Directions, angles
+from gonio.instrument import Instrument, imaging, preset
 from gonio.metadata import Plan
-from gonio.session import Session, read_truth
+from gonio.session import Session, open_truth_images, read_truth
 
 PLAN = Plan(
     theta_i_deg=(0.0, 40.0),
@@ -43,8 +44,9 @@ def run(path, *, material="rolled_aluminum", instrument=None, plan=PLAN, seed=1,
 
 def content(path):
     """Manifest and frames of a session, byte by byte."""
-    files = [path / "manifest.jsonl", path / "session.json", path / "truth" / "truth.json"]
-    files += [file for file in (path / "frames.zarr").rglob("*") if file.is_file()]
+    files = [path / "manifest.jsonl", path / "session.json"]
+    for folder in ("frames.zarr", "truth"):
+        files += [file for file in (path / folder).rglob("*") if file.is_file()]
     return {str(file.relative_to(path)): file.read_bytes() for file in files}
 
 
@@ -239,6 +241,193 @@ class TestPhysics:
         ratio = (light[1] - dark) / (light[0] - dark)
         assert ratio == pytest.approx(scale, rel=4 * 0.001)
         assert sessions[1].metadata.standard.reflectance == 0.99
+
+
+class TestChannels:
+    FILTERS = ({"name": "red", "relative_rate": 0.5}, {"name": "blue", "wavelength_nm": 450.0})
+
+    def rig(self):
+        rig = small("ideal12", n=40)
+        return Instrument.model_validate(rig.model_dump() | {"channels": self.FILTERS})
+
+    def run(self, path, rho=(0.2, 0.6), **more):
+        return gonio.simulate(
+            model="lambert", parameters={"rho": rho}, output=path, instrument=self.rig(),
+            plan=PLAN, seed=4, **more,
+        )  # fmt: skip
+
+    def test_each_has_its_frames(self, tmp_path):
+        session = self.run(tmp_path / "s", threads=1)
+        plan = session.metadata.plan
+        assert [c.name for c in plan.channels] == ["red", "blue"]
+        assert plan.channels[1].wavelength_nm == 450
+        assert session.n_done == plan.n_frames == 2 * PLAN.n_frames
+        red, blue = (
+            session.frame("sample", 0, 0, 1, channel=c)[12:28, 12:28].astype(float).mean() - 64
+            for c in range(2)
+        )
+        dark = session.frame("background", 0, 0, 1)[12:28, 12:28].astype(float).mean() - 64
+        # 256 pixels of some 300 electrons; the stray light of a channel follows its filter.
+        assert (red - dark) / (blue - 2 * dark) == pytest.approx(0.5 * 0.2 / 0.6, rel=0.05)
+        truth = read_truth(session.path)
+        assert truth["parameters"] == {"rho": [0.2, 0.6]}
+        assert len(truth["lamp"]) == 2 * plan.n_images
+        again = self.run(tmp_path / "t", threads=3)
+        assert content(again.path) == content(session.path)
+
+    def test_noise_differs_from_channel_to_channel(self, tmp_path):
+        session = self.run(tmp_path / "s", rho=0.4)
+        a, b = (session.frame("background", 0, 0, 0, channel=c).astype(float) for c in range(2))
+        dark = np.s_[:5, :5]  # off the image circle
+        assert np.any(a[dark] != b[dark])
+        assert read_truth(session.path)["parameters"] == {"rho": 0.4}
+
+    def test_an_interrupted_session_is_continued(self, tmp_path):
+        def stop(done, total):
+            if done >= 9:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            self.run(tmp_path / "s", progress=stop)
+        assert not Session.open(tmp_path / "s").complete
+        self.run(tmp_path / "s")
+        assert content(tmp_path / "s") == content(self.run(tmp_path / "t").path)
+
+    def test_too_many_values(self, tmp_path):
+        with pytest.raises(
+            ConfigurationError, match="rho has 3 values and ideal12 has 2 channels; give one value"
+        ):
+            self.run(tmp_path / "s", rho=(0.1, 0.2, 0.3))
+        with pytest.raises(ConfigurationError, match="has 2 values and modern12 has 1 channel; gi"):
+            gonio.simulate(
+                model="lambert", parameters={"rho": (0.1, 0.2)}, output=tmp_path / "s",
+                instrument=small(), plan=PLAN,
+            )  # fmt: skip
+
+
+class TestStandardOnce:
+    @pytest.mark.parametrize("mode", ["reflection", "transmission"])
+    def test_is_recorded_as_planned(self, tmp_path, mode):
+        plan = PLAN.model_copy(update={"mode": mode, "standard_theta_i_deg": 20.0})
+        rig = small(dome=preset("modern12").dome.model_dump() | {"transmittance_variation": 0.01})
+        session = run(tmp_path / "s", plan=plan, instrument=rig)
+        assert session.complete
+        assert session.n_done == 3 * (3 + 1 + 4)
+        places = 2 if mode == "reflection" else 1
+        assert session.metadata.plan.u_irradiance == pytest.approx(0.01 * math.sqrt(places))
+        assert session.metadata.limits.transmittance == 0.45
+        entry = {e["theta_i_deg"]: e["relative"] for e in read_truth(session.path)[
+            "entry_transmittance"]}  # fmt: skip
+        assert set(entry) == {0, 20, 40}
+        assert 0 < abs(entry[20] - 1) < 0.05
+
+    def test_the_lamp_below_is_brighter_by_the_dome(self, tmp_path):
+        rig = small("ideal12", surroundings={"stray": 0.0, "entry_patch": 0.0})
+        means = []
+        for mode in ("reflection", "transmission"):
+            plan = PLAN.model_copy(update={"mode": mode, "standard_theta_i_deg": 40.0})
+            session = gonio.simulate(
+                model="lambert", parameters={"rho": 0.3}, output=tmp_path / mode, instrument=rig,
+                plan=plan,
+            )  # fmt: skip
+            frame = session.frame("sample", 0, 0, 1).astype(float)
+            means.append(frame[10:30, 10:30].mean() - 64)
+        # 400 pixels of some 900 and 2000 electrons.
+        assert means[0] / means[1] == pytest.approx(0.45, rel=4 * 0.002)
+
+
+class TestTruthImages:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def session(cls, tmp_path_factory):
+        base = preset("modern12")
+        rig = small(
+            n=52,
+            sensor={"rows": 208, "columns": 208, "pitch_um": (27.6, 27.6), "dead_fraction": 0.01,
+                    "hot_fraction": 0.005, "hot_e_per_s": 100.0},
+            lens=base.lens.model_dump() | {"pupil_walk_mm": 1.0},
+            dome=base.dome.model_dump() | {"reflectance_variation": 0.02},
+        )  # fmt: skip
+        rig = rig.model_copy(update={"rays_per_pixel": 8})
+        path = tmp_path_factory.mktemp("truth") / "s"
+        return run(path, instrument=Instrument.model_validate(rig.model_dump()), truth_images=True)
+
+    def test_hold_what_their_page_promises(self, session):
+        images = open_truth_images(session.path)
+        sizes = {name: dict(zip(a.metadata.dimension_names, a.shape, strict=True))
+                 for name, a in images.arrays()}  # fmt: skip
+        frame = {"row": 52, "column": 52}
+        assert sizes == {
+            "brdf": {"channel": 1, "take": 2, "incidence": 2, **frame},
+            "weight": {"incidence": 2, **frame},
+            "dead_pixels": frame,
+            "hot_pixels": frame,
+            "slope_error": {**frame, "axis": 2},
+            "dome_reflectance": frame,
+        }
+
+    def test_f_is_that_of_the_direction_which_the_pixel_sees(self, session):
+        rig = Instrument.model_validate(read_truth(session.path)["instrument"])
+        draws = simulation.Draws.from_seed(1, rig, session.metadata.plan)
+        rays = imaging.trace_rays(rig, draws.dome_seed)
+        w_r = rays.w_r.mean(axis=1)
+        w_r /= np.linalg.norm(w_r, axis=1, keepdims=True)
+        metal = {"rho_d": 0.1, "rho_s": 0.21, "alpha_x": 0.04, "alpha_y": 0.09}
+        theta_r, phi_r = angles(w_r)
+        brdf = open_truth_images(session.path)["brdf"]
+        assert brdf.dtype == np.float32
+        for take, psi in enumerate(np.radians([0, 90])):
+            for incidence, theta_i in enumerate(np.radians([0, 40])):
+                f = models.get("ward")(Directions(theta_i, -psi, theta_r, phi_r - psi), **metal)
+                image = brdf[0, take, incidence].ravel()
+                # 14 significant bits, and 24 of the directions before them.
+                np.testing.assert_allclose(image[rays.pixel], f, rtol=2.0**-14)
+                assert np.isnan(image).sum() == image.size - len(rays.pixel)
+
+    def test_maps_are_those_of_the_instrument(self, session):
+        rig = Instrument.model_validate(read_truth(session.path)["instrument"])
+        draws = simulation.Draws.from_seed(1, rig, session.metadata.plan)
+        images = open_truth_images(session.path)
+        dead, hot = rig.sensor.bad_pixels(draws.pattern_seed)
+        np.testing.assert_array_equal(images["dead_pixels"][:], dead)
+        np.testing.assert_array_equal(images["hot_pixels"][:], hot)
+        rays = imaging.trace_rays(rig, draws.dome_seed)
+        weight = images["weight"][1].ravel()[rays.pixel]
+        lit = imaging.lit_weights(rig, rays, np.radians(40)).sum(axis=1)
+        np.testing.assert_allclose(weight, lit, atol=1e-6)
+        assert 0 < np.nanstd(images["dome_reflectance"][:]) < 0.05
+        slope = np.degrees(images["slope_error"][:])
+        assert 0.02 < np.nanstd(slope) < 0.2  # 0.03 deg in the middle, 0.23 at the rim
+
+    def test_a_session_continued_has_the_same(self, session, tmp_path):
+        def stop(done, total):
+            if done >= 15:
+                raise KeyboardInterrupt
+
+        rig = Instrument.model_validate(read_truth(session.path)["instrument"])
+        for more in ({"progress": stop}, {"threads": 2}):
+            try:
+                run(tmp_path / "s", instrument=rig, truth_images=True, **more)
+            except KeyboardInterrupt:
+                assert not Session.open(tmp_path / "s").complete
+        assert content(tmp_path / "s") == content(session.path)
+
+    def test_are_there_where_they_take_little_space(self, tmp_path):
+        # Two exposures and three rotations: of 24 frames f would take twelve halves.
+        assert open_truth_images(run(tmp_path / "few", instrument=small(n=8)).path) is None
+        plan = PLAN.model_copy(update={"repeats": 6, "rotations_deg": (0.0,)})
+        rig = small("ideal12", n=104)
+        path = run(tmp_path / "many", instrument=rig, plan=plan).path
+        size = {
+            folder: sum(f.stat().st_size for f in (path / folder).rglob("*") if f.is_file())
+            for folder in ("frames.zarr", "truth")
+        }
+        assert 0 < size["truth"] < 0.2 * size["frames.zarr"]
+        without = run(tmp_path / "none", instrument=rig, plan=plan, truth_images=False).path
+        assert open_truth_images(without) is None
+        frames, same = ({k: v for k, v in content(p).items() if not k.startswith("truth")}
+                        for p in (path, without))  # fmt: skip
+        assert frames == same
 
 
 class TestPlan:

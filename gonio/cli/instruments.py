@@ -20,6 +20,8 @@ _UNITS = {
     "_dn_per_e": "count/e-",
     "_mm": "mm",
     "_um": "µm",
+    "_nm": "nm",
+    "_px": "px",
     "_deg": "deg",
     "_dn": "counts",
     "_e": "e-",
@@ -96,19 +98,29 @@ def _show_one(rig: Instrument) -> None:
     from rich.table import Table
 
     from gonio.cli.options import table_console
-    from gonio.instrument.part import Part
 
     console = table_console()
     console.print(f"{rig.name}: {rig.description}")
     table = Table("setting", "value", "meaning")
     table.columns[0].no_wrap = True
     table.columns[1].max_width = 18
-    parts = {f"{key}.": part for key, part in rig if isinstance(part, Part)}
-    for prefix, part in {"": rig, **parts}.items():
+    for prefix, part in {"": rig, **_parts(rig)}.items():
         for key, value, meaning in _rows(part):
             table.add_row(prefix + key, value, meaning)
         table.add_section()
     console.print(table)
+
+
+def _parts(rig: Instrument) -> dict[str, Part]:
+    """The parts by what their settings' names begin with; lists of parts are counted from 1."""
+    from gonio.instrument.part import Part
+
+    found: dict[str, Part] = {}
+    for key, value in rig:
+        several = value if isinstance(value, tuple) else ()
+        found |= {f"{key}.": value} if isinstance(value, Part) else {}
+        found |= {f"{key}.{k}.": part for k, part in enumerate(several, 1)}
+    return found
 
 
 def _rows(part: Part) -> Iterator[tuple[str, str, str]]:
@@ -117,14 +129,19 @@ def _rows(part: Part) -> Iterator[tuple[str, str, str]]:
 
     fields = type(part).model_fields
     for key, value in part:
-        if isinstance(value, Part) or key in ("name", "description"):
+        held = value[0] if isinstance(value, tuple) and value else value
+        of_instrument = "description" in fields and key in ("name", "description")
+        if isinstance(held, Part) or of_instrument:
             continue
-        yield key, f"{_text(value)} {_unit(key)}".strip(), fields[key].description or ""
+        unit = "" if value is None else _unit(key)
+        yield key, f"{_text(value)} {unit}".strip(), fields[key].description or ""
 
 
 def _text(value: Any) -> str:
     if isinstance(value, tuple):
         return ", ".join(_text(each) for each in value)
+    if value is None or value == "":
+        return "not stated"
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

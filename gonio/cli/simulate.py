@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import rich_click as click
 
@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from gonio.metadata import Plan
     from gonio.models import Model
     from gonio.session import Session
+    from gonio.simulation import Values
+
+MAX_WEDGE_DEG = 45.0
 
 
 @click.command(name="simulate")
@@ -24,8 +27,9 @@ if TYPE_CHECKING:
     "--parameter",
     "items",
     multiple=True,
-    metavar="NAME=VALUE",
-    help="A parameter of --model, angles in degrees; repeat for each.",
+    metavar="NAME=VALUE[,VALUE...]",
+    help="A parameter of --model, angles in degrees, one value or one for each channel of the "
+    "instrument; repeat for each.",
 )
 @click.option(
     "--instrument",
@@ -60,6 +64,35 @@ if TYPE_CHECKING:
     help="Rotations of the sample; 0,45,90 for anisotropic surfaces, else 0, where not given.",
 )
 @click.option(
+    "--standard-at",
+    type=float,
+    metavar="DEG",
+    help="Take the white standard at this incidence only; at every one where not given.",
+)
+@click.option(
+    "--transmission",
+    is_flag=True,
+    help="Light the sample from below; the standard is taken in reflection, at 45 where "
+    "--standard-at does not say.",
+)
+@click.option(
+    "--mirror",
+    is_flag=True,
+    help="Record a plane mirror, from which an alignment tells where the pixels look.",
+)
+@click.option(
+    "--wedge",
+    type=float,
+    metavar="DEG",
+    help="Tilt the mirror's normal by this angle, towards the azimuth of its rotation.",
+)
+@click.option(
+    "--truth-images/--no-truth-images",
+    default=None,
+    help="Write what is true by the pixel beside the frames; where not given, if it takes a fifth "
+    "of their space at most.",
+)
+@click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
@@ -75,24 +108,31 @@ def command(
     output: Path,
     theta_i: str | None,
     rotations: str | None,
+    standard_at: float | None,
+    transmission: bool,
+    mirror: bool,
+    wedge: float | None,
+    truth_images: bool | None,
     threads: int | None,
     as_json: bool,
 ) -> None:
     """Record the raw frames of a surface on a virtual instrument.
 
-    Give a MATERIAL of 'gonio materials', or --model with its parameters. The frames are on the
-    disk as they are taken: after an interruption the same command continues, and the result is
-    the same to the last bit.
+    Give a MATERIAL of 'gonio materials', or --model with its parameters, or --mirror. The frames
+    are on the disk as they are taken: after an interruption the same command continues, and the
+    result is the same to the last bit.
     """
     from gonio.cli.progress import progress
     from gonio.instrument import load
-    from gonio.simulation import is_anisotropic, simulate
+    from gonio.simulation import MIRROR, simulate
 
-    chosen, parameters = _surface(material, model, items)
+    _check_mirror(mirror, wedge, material or model, items, standard_at, transmission)
+    chosen, parameters = (None, {}) if mirror else _surface(material, model, items)
     rig = load(instrument)
-    plan = _plan(rig, theta_i, rotations, anisotropic=is_anisotropic(chosen, parameters))
+    plan = _plan(rig, chosen, parameters, standard_at, transmission=transmission, wedge=wedge)
+    plan = _with_angles(plan, rig, theta_i, rotations)
     there = _frames_there(output)
-    name = material or chosen.name
+    name = material or (chosen.name if chosen else MIRROR)
     try:
         with progress(f"simulating {name} on {rig.name}", "frames") as callback:
             session = simulate(
@@ -105,17 +145,44 @@ def command(
                 seed=seed,
                 threads=threads,
                 progress=callback,
+                truth_images=truth_images,
             )
     except KeyboardInterrupt:
         _interrupted(output, plan)
     _tell(session, there, seed, as_json)
 
 
+def _check_mirror(
+    mirror: bool,
+    wedge: float | None,
+    surface: str | None,
+    items: tuple[str, ...],
+    standard_at: float | None,
+    transmission: bool,
+) -> None:
+    """Refuse what does not go together with a mirror, or without one."""
+    if not mirror:
+        if wedge is not None:
+            raise ConfigurationError("--wedge tilts a mirror; give --mirror with it.", value=wedge)
+        return
+    others = {
+        "a MATERIAL or --model": surface is not None,
+        "-p": bool(items),
+        "--standard-at": standard_at is not None,
+        "--transmission": transmission,
+    }
+    for name, given in others.items():
+        if given:
+            raise ConfigurationError(
+                f"--mirror records a mirror alone; leave {name} out.", value=surface
+            )
+
+
 def _surface(
     material: str | None, model: str | None, items: tuple[str, ...]
-) -> tuple[Model, dict[str, float]]:
+) -> tuple[Model, dict[str, Values]]:
     from gonio import materials, models
-    from gonio.cli.options import file_text, parse_parameters
+    from gonio.cli.options import file_text
 
     if (material is None) == (model is None):
         given = "both were given" if model else "neither was given"
@@ -130,7 +197,7 @@ def _surface(
             )
         return models.get(named.model), dict(named.parameters)
     chosen = models.get(str(model))
-    parameters = parse_parameters(chosen, items)
+    parameters = _values(chosen, items)
     left_out = [p for p in chosen.parameters if p.name not in parameters]
     if left_out:
         defaults = ", ".join(f"{p.name} = {file_text(p, p.default)}" for p in left_out)
@@ -138,26 +205,84 @@ def _surface(
     return chosen, {**{p.name: p.default for p in left_out}, **parameters}
 
 
-def _plan(
-    rig: Instrument, theta_i: str | None, rotations: str | None, *, anisotropic: bool
-) -> Plan:
-    """The default plan with the angles that were given in place of its own."""
-    from gonio.simulation import default_plan
+def _values(model: Model, items: tuple[str, ...]) -> dict[str, Values]:
+    """Parameters by name, radians for angles; a list where one value a channel was given."""
+    from gonio.cli.options import parse_parameters
 
+    one_by_one = [_one_value_each(item) for item in items]
+    # Channel by channel, each item with its own value there, or its only or last one.
+    columns = [
+        parse_parameters(model, [words[min(c, len(words) - 1)] for words in one_by_one])
+        for c in range(max(map(len, one_by_one), default=1))
+    ]
+    counts = dict(zip(columns[0], map(len, one_by_one), strict=True))
+    return {
+        name: [column[name] for column in columns[:n]] if n > 1 else columns[0][name]
+        for name, n in counts.items()
+    }
+
+
+def _one_value_each(item: str) -> list[str]:
+    """NAME=0.1,0.2 as NAME=0.1 and NAME=0.2.
+
+    Examples
+    --------
+    >>> _one_value_each("rho_d=0.1,0.2")
+    ['rho_d=0.1', 'rho_d=0.2']
+    """
+    name, sign, values = item.partition("=")
+    return [f"{name}{sign}{value}" for value in values.split(",")]
+
+
+def _plan(
+    rig: Instrument,
+    model: Model | None,
+    parameters: dict[str, Values],
+    standard_at: float | None,
+    *,
+    transmission: bool,
+    wedge: float | None,
+) -> Plan:
+    """The default plan of what is to be recorded."""
+    from gonio.simulation import default_plan, is_anisotropic, mirror_plan, transmission_plan
+
+    if wedge is not None and not 0 <= wedge < MAX_WEDGE_DEG:
+        raise ConfigurationError(
+            f"--wedge {wedge:g}: the mirror's normal can be tilted by 0 to less than "
+            f"{MAX_WEDGE_DEG:g} deg.",
+            value=wedge,
+        )
+    if model is None:
+        return mirror_plan(rig, wedge_deg=wedge or 0.0)
+    if standard_at is not None:
+        _check_reach("--standard-at", standard_at, rig, 0.0)
+    anisotropic = is_anisotropic(model, parameters)
+    if transmission:
+        return transmission_plan(rig, anisotropic=anisotropic, standard_theta_i_deg=standard_at)
     plan = default_plan(rig, anisotropic=anisotropic)
+    return plan.model_copy(update={"standard_theta_i_deg": standard_at})
+
+
+def _with_angles(plan: Plan, rig: Instrument, theta_i: str | None, rotations: str | None) -> Plan:
+    """The plan with the angles that were given in place of its own."""
     change = {}
     if theta_i is not None:
         change["theta_i_deg"] = _degrees("--theta-i", theta_i)
+        lowest = -rig.theta_i_max_deg if plan.mode == "mirror" else 0.0
         for angle in change["theta_i_deg"]:
-            if not 0 <= angle <= rig.theta_i_max_deg:
-                raise ConfigurationError(
-                    f"--theta-i: {angle:g} deg is out of reach of the lamp arm of {rig.name}; "
-                    f"allowed is 0 to {rig.theta_i_max_deg:g} deg.",
-                    value=angle,
-                )
+            _check_reach("--theta-i", angle, rig, lowest)
     if rotations is not None:
         change["rotations_deg"] = _degrees("--rotations", rotations)
     return plan.model_copy(update=change)
+
+
+def _check_reach(option: str, angle: float, rig: Instrument, lowest: float) -> None:
+    if not lowest <= angle <= rig.theta_i_max_deg:
+        raise ConfigurationError(
+            f"{option}: {angle:g} deg is out of reach of the lamp arm of {rig.name}; "
+            f"allowed is {lowest:g} to {rig.theta_i_max_deg:g} deg.",
+            value=angle,
+        )
 
 
 def _degrees(option: str, text: str) -> tuple[float, ...]:
@@ -190,26 +315,58 @@ def _interrupted(output: Path, plan: Plan) -> NoReturn:
 def _tell(session: Session, there: int, seed: int, as_json: bool) -> None:
     from gonio.cli.options import echo_json
 
-    metadata, path = session.metadata, session.path
+    path = session.path
     size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     if as_json:
-        echo_json(
-            {
-                "schema": "gonio.simulate/1",
-                "session": str(path),
-                "sample": metadata.sample,
-                "instrument": metadata.instrument,
-                "seed": seed,
-                "theta_i_deg": list(metadata.plan.theta_i_deg),
-                "rotations_deg": list(metadata.plan.rotations_deg),
-                "exposures_s": list(metadata.plan.exposures_s),
-                "frames": session.n_done,
-                "frames_added": session.n_done - there,
-                "bytes": size,
-            }
-        )
+        echo_json(_document(session, there, seed) | {"bytes": size})
     elif there == session.n_done:
         click.echo(f"{path}: already complete, {there} frames, {size / 1e6:.1f} MB.")
     else:
         added = f", {there} of them from before" if there else ""
         click.echo(f"{path}: {session.n_done} frames{added}, {size / 1e6:.1f} MB.")
+        click.echo(_summary(session))
+
+
+def _summary(session: Session) -> str:
+    """What was recorded, in one line.
+
+    Every number stands in the plan; this is for the person who wants to see at a glance that the
+    frames are those that were meant.
+    """
+    plan, camera = session.metadata.plan, session.metadata.camera
+    images = ", ".join(
+        f"{role} {plan.takes(role)} x {len(plan.incidences(role))}" for role in plan.roles
+    )
+    parts = [
+        plan.mode,
+        f"images (takes x incidences): {images}",
+        f"{len(plan.exposures_s)} exposures of {1e3 * plan.exposures_s[0]:.3g} to "
+        f"{1e3 * plan.exposures_s[-1]:.3g} ms",
+        f"{camera.columns} x {camera.rows} pixels",
+    ]
+    if len(plan.channels) > 1:
+        parts.append(f"channels {', '.join(channel.name for channel in plan.channels)}")
+    return "; ".join(parts) + "."
+
+
+def _document(session: Session, there: int, seed: int) -> dict[str, Any]:
+    metadata, plan = session.metadata, session.metadata.plan
+    return {
+        "schema": "gonio.simulate/1",
+        "session": str(session.path),
+        "sample": metadata.sample,
+        "instrument": metadata.instrument,
+        "seed": seed,
+        "mode": plan.mode,
+        "theta_i_deg": list(plan.theta_i_deg),
+        "rotations_deg": list(plan.rotations_deg),
+        "exposures_s": list(plan.exposures_s),
+        "standard_theta_i_deg": plan.standard_theta_i_deg,
+        "wedge_deg": plan.wedge_deg,
+        "channels": [channel.model_dump() for channel in plan.channels],
+        "images": {role: plan.takes(role) * len(plan.incidences(role)) for role in plan.roles},
+        "rows": metadata.camera.rows,
+        "columns": metadata.camera.columns,
+        "frames": session.n_done,
+        "frames_added": session.n_done - there,
+    }

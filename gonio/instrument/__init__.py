@@ -1,16 +1,18 @@
-"""The virtual instrument: lamp, holder, dome, lens, sensor, standard, surroundings."""
+"""The virtual instrument: lamp, filters, holder, dome, lens, sensor, standard, surroundings."""
 
 from __future__ import annotations
 
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from pydantic import Field, ValidationError
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
 
 from gonio.errors import ConfigurationError, unknown_name
 from gonio.instrument.dome import Dome
+from gonio.instrument.filter import Filter
 from gonio.instrument.holder import Holder
 from gonio.instrument.lamp import Lamp
 from gonio.instrument.lens import Lens
@@ -21,6 +23,7 @@ from gonio.instrument.surroundings import Surroundings
 
 __all__ = [
     "Dome",
+    "Filter",
     "Holder",
     "Instrument",
     "Lamp",
@@ -43,8 +46,8 @@ class Instrument(Part):
     15.0
     """
 
-    name: str
-    description: str = ""
+    name: str = Field(description="written into every session")
+    description: str = Field(default="", description="one line for 'gonio instruments'")
     usable_theta_r_deg: float = Field(gt=0, le=90, description="rim mask of the reduction")
     theta_i_max_deg: float = Field(default=75.0, gt=0, lt=90, description="reach of the lamp arm")
     rays_per_pixel: Literal[1, 8, 16, 32, 64, 128, 256] = Field(
@@ -57,6 +60,23 @@ class Instrument(Part):
     sensor: Sensor
     standard: Standard
     surroundings: Surroundings
+    channels: tuple[Filter, ...] = Field(
+        default=(Filter(),), min_length=1, max_length=100, description="filters, one a channel"
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Instrument:
+        names = [channel.name for channel in self.channels]
+        if len(set(names)) < len(names):
+            raise ValueError("channels must have different names")
+        x, y, z = np.abs(self.lens.pupil_centre(0.0, self.dome.D)).tolist()
+        highest = float(np.linalg.norm([x, y, z + abs(self.lens.pupil_walk_mm)]))
+        if highest >= self.dome.R:
+            raise ValueError(
+                f"the lens's pupil lies up to {highest:.4g} mm from the dome's centre and must "
+                f"stay inside R = {self.dome.R} mm"
+            )
+        return self
 
 
 def preset_names() -> list[str]:
@@ -118,7 +138,9 @@ def _sentence(where: str, error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         owner: Any = Instrument
         for part in first["loc"][:-1]:
-            owner = owner.model_fields[part].annotation
+            if not isinstance(part, int):  # a place in a list, whose items are of one kind
+                owner = owner.model_fields[part].annotation
+                owner = next(iter(get_args(owner)), owner)
         hint = unknown_name("key", str(first["loc"][-1]), owner.model_fields)
         return f"{where}: {key}: {hint}"
     given = "" if first["type"] == "missing" else f" (given: {first['input']!r})"

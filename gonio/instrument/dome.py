@@ -29,7 +29,9 @@ class Dome(Part):
     (11.365, -90.0)
     """
 
-    shape: Literal["sphere", "ellipsoid"] = "ellipsoid"
+    shape: Literal["sphere", "ellipsoid"] = Field(
+        default="ellipsoid", description="the ellipsoid has its foci in camera and target"
+    )
     R: float = Field(gt=0, description="radius of the sphere, semi-minor axis of the ellipsoid, mm")
     D: float = Field(gt=0, description="half the separation of camera and target, mm")
     reflectance: float = Field(default=0.45, gt=0, lt=1, description="R_d of the coating")
@@ -42,6 +44,15 @@ class Dome(Part):
     )
     slope_correlation_deg: float = Field(
         default=10.0, gt=0, description="distance over which slope errors are alike"
+    )
+    reflectance_variation: float = Field(
+        default=0.0, ge=0, le=0.3, description="relative sd of the reflectance over the dome"
+    )
+    transmittance_variation: float = Field(
+        default=0.0, ge=0, le=0.3, description="relative sd of the transmittance over the dome"
+    )
+    coating_correlation_deg: float = Field(
+        default=30.0, gt=0, description="distance over which the coating is alike"
     )
 
     @model_validator(mode="after")
@@ -131,15 +142,47 @@ class Dome(Part):
         exp(-s^2 / 2 c^2) with the distance s, c being `slope_correlation_deg` as an arc of R. The
         field belongs to the dome: one seed, one field.
         """
-        from gonio.instrument.slope_field import sum_of_waves
-
-        waves = 64
-        k = rng.normal(size=(waves, 3)) / np.radians(self.slope_correlation_deg)
-        phase = rng.uniform(0, 2 * np.pi, size=(2, waves))
         theta = np.arctan2(np.hypot(point[..., 0], point[..., 1]), point[..., 2])
         sd = np.radians(
             self.slope_error_deg + self.rim_slope_error_deg * (theta / (np.pi / 2)) ** 6
         )
+        return self._smooth_field(point, self.slope_correlation_deg, rng) * sd[..., None]
+
+    def coating(self, point: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """R_d and T_d at points of the dome over their nominal values, smooth random fields.
+
+        exp(s g - s^2/2) with g of unit variance: the mean is 1, and no value is negative.
+
+        Parameters
+        ----------
+        point : ndarray, shape (..., 3)
+            Points of the dome, mm.
+        rng : numpy.random.Generator
+            The fields belong to the dome: one seed, one coating.
+
+        Returns
+        -------
+        reflectance, transmittance : ndarray, shape (...)
+        """
+        field = self._smooth_field(point, self.coating_correlation_deg, rng)
+        sd = np.array([self.reflectance_variation, self.transmittance_variation])
+        relative = np.exp(sd * field - sd**2 / 2)
+        return relative[..., 0], relative[..., 1]
+
+    def entry_point(self, theta_i: float) -> FloatArray:
+        """Point of the dome (3,), mm, where the axis of the lamp's beam enters it."""
+        w_i = np.array([np.sin(theta_i), 0.0, np.cos(theta_i)])
+        return self.hit(np.array([0.0, self.D, 0.0]), w_i)
+
+    def _smooth_field(
+        self, point: FloatArray, correlation_deg: float, rng: np.random.Generator
+    ) -> FloatArray:
+        """Two independent fields of unit variance at points of the dome, shape (..., 2)."""
+        from gonio.instrument.slope_field import sum_of_waves
+
+        waves = 64
+        k = rng.normal(size=(waves, 3)) / np.radians(correlation_deg)
+        phase = rng.uniform(0, 2 * np.pi, size=(2, waves))
         field = np.empty((*point.shape[:-1], 2))
         turn = 2 * np.pi
         sum_of_waves(
@@ -148,7 +191,7 @@ class Dome(Part):
             phase / turn,
             field.reshape(-1, 2),
         )
-        return np.asarray(field * np.sqrt(2 / waves) * sd[..., None])
+        return np.asarray(field * np.sqrt(2 / waves))
 
 
 def _tilted(normal: FloatArray, slope: FloatArray) -> FloatArray:

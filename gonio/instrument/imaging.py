@@ -5,6 +5,10 @@ source; it is traced through the lens, off the dome and down to the sample, and 
 lands on lit sample. The places are low-discrepancy points whose first and second moments are made
 exact, so that the narrow kernels of pixel, pupil and source act on a lobe as the full integrals
 would, to fourth order.
+
+Each stage is a function of its own that takes an instrument and traced rays; `images.py` says in
+which order they follow each other. OPTICS: everything is relative to `white_rate`, the signal of a
+perfect white surface lit at normal incidence.
 """
 
 from __future__ import annotations
@@ -15,6 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
+from scipy.special import ive
 from scipy.stats import qmc
 
 from gonio.geometry import FloatArray, hemisphere_quadrature, rotated, unit_vectors
@@ -59,17 +65,20 @@ class Rays:
     pixel : ndarray of int, shape (n,)
         Flat index of the pixel in the frame.
     throughput : ndarray, shape (n,)
-        Relative illumination times solid angle of the pixel, 1 on the axis.
+        Relative illumination times solid angle of the pixel times the dome's reflectance over
+        its nominal value: 1 on the axis of an even dome.
     w_r : ndarray, shape (n, rays, 3)
         Directions from sample to dome.
     landing : ndarray, shape (n, rays, 2)
-        Where each ray meets the sample plane, mm from the target.
+        Where each ray meets the plane of the sample's surface, mm from its middle.
     source : ndarray, shape (rays, 2)
         Each ray's place in the source, unit disc.
     spread : float
         Largest angle between the first and another ray of one pixel, radians.
     reach : ndarray, shape (n,)
         Largest distance from the target at which a ray of the pixel lands, mm.
+    point : ndarray, shape (n, 3)
+        Where the pixel's rays meet the dome, their mean, mm.
     """
 
     pixel: NDArray[np.int64]
@@ -79,6 +88,7 @@ class Rays:
     source: FloatArray
     spread: float
     reach: FloatArray
+    point: FloatArray
 
 
 def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None) -> Rays:
@@ -88,7 +98,7 @@ def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None)
     ----------
     instrument : Instrument
     seed : int
-        Seed of the dome's slope errors.
+        Seed of the dome's slope errors and of its coating.
     threads : int, optional
         The rays do not depend on it.
     """
@@ -103,15 +113,12 @@ def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None)
     w_r = np.empty((len(pixel), len(in_pixel), 3))
     landing = np.empty((len(pixel), len(in_pixel), 2))
     chord, reach = np.empty(len(pixel)), np.empty(len(pixel))
+    point = np.empty((len(pixel), 3))
 
     def work(start: int, stop: int) -> None:
-        origin, direction = _through_lens(instrument, points[start:stop], in_pupil)
-        meets = dome.hit(origin, direction)
-        slope = None
-        if dome.slope_error_deg or dome.rim_slope_error_deg:
-            slope = dome.slope_errors(meets, np.random.default_rng(seed))
-        w, at = dome.reflect(meets, direction, slope)
+        meets, w, at = trace_points(instrument, points[start:stop], in_pupil, seed)
         w_r[start:stop], landing[start:stop] = w, at
+        point[start:stop] = meets.mean(axis=1)
         apart = w - w[:, :1]
         chord[start:stop] = np.sqrt(np.einsum("...i,...i->...", apart, apart).max(axis=1))
         reach[start:stop] = np.sqrt(np.einsum("...i,...i->...", at, at).max(axis=1))
@@ -119,8 +126,54 @@ def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None)
     map_blocks(work, len(pixel), threads=threads, block=_BLOCK)
     theta_c = theta_c[pixel]
     throughput = lens.relative_illumination(theta_c) * lens.solid_angle(theta_c)
+    if dome.reflectance_variation:
+        throughput = throughput * coating_reflectance(instrument, point, seed)
     spread = 2 * float(np.arcsin(min(chord.max() / 2, 1.0)))
-    return Rays(pixel, throughput, w_r, landing, in_source, spread, reach)
+    return Rays(pixel, throughput, w_r, landing, in_source, spread, reach, point)
+
+
+def coating_reflectance(instrument: Instrument, point: FloatArray, seed: int) -> FloatArray:
+    """R_d at points of the dome (n, 3) over its nominal value; `seed` is that of the dome."""
+    return instrument.dome.coating(point, _coating_rng(seed))[0]
+
+
+def trace_points(
+    instrument: Instrument, points: FloatArray, in_pupil: FloatArray, seed: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Follow rays from points of the image through the lens and off the dome to the sample.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    points : ndarray, shape (n, rays, 2)
+        On the sensor, mm from the lens axis.
+    in_pupil : ndarray, shape (rays, 2)
+        Each ray's place in the pupil, unit disc.
+    seed : int
+        Seed of the dome's slope errors.
+
+    Returns
+    -------
+    meets, w_r : ndarray, shape (n, rays, 3)
+        Points of the dome, mm, and directions from sample to dome.
+    landing : ndarray, shape (n, rays, 2)
+        As in `Rays`.
+    """
+    dome, height = instrument.dome, instrument.holder.height_mm
+    origin, direction = _through_lens(instrument, points, in_pupil)
+    meets = dome.hit(origin, direction)
+    slope = None
+    if dome.slope_error_deg or dome.rim_slope_error_deg:
+        slope = dome.slope_errors(meets, np.random.default_rng(seed))
+    w_r, landing = dome.reflect(meets, direction, slope)
+    if height:
+        landing = landing + height * w_r[..., :2] / np.maximum(w_r[..., 2:], 1e-9)
+    return meets, w_r, landing
+
+
+def _coating_rng(seed: int) -> np.random.Generator:
+    """The coating is another field of the same dome than the slope errors."""
+    return np.random.default_rng([seed, 1])
 
 
 def _through_lens(
@@ -132,11 +185,11 @@ def _through_lens(
     # A ray of a rim pixel may leave the field by a fraction of a pixel; it is held at the edge.
     edge = lens.radius(np.radians(lens.field_deg / 2))
     theta_c = lens.polar_angle(np.minimum(radius, edge))
-    phi_c = np.arctan2(points[..., 1], points[..., 0])
+    phi_c = np.arctan2(points[..., 1], points[..., 0]) + np.radians(lens.azimuth_deg)
     chief = unit_vectors(theta_c, phi_c)
-    centre = np.array([0.0, -dome.D, 0.0])
+    centre = lens.pupil_centre(theta_c, dome.D)
     if lens.pupil_mm == 0:
-        return np.broadcast_to(centre, chief.shape), chief
+        return centre, chief
     # A fisheye's entrance pupil faces the chief ray and its distance of sharp focus is the same
     # in all directions: R/2, about where the dome brings parallel light to a focus, or R.
     u, v = in_pupil[:, 0] * lens.pupil_mm / 2, in_pupil[:, 1] * lens.pupil_mm / 2
@@ -149,17 +202,29 @@ def _through_lens(
 
 
 def lit_weights(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
-    """Share of each ray (n, rays) in its pixel: 1/rays where it lands on lit sample, else 0."""
+    """Share of each ray (n, rays) in its pixel: U/rays where it lands on lit sample, else 0.
+
+    Their sum over the rays of a pixel is m_p times the mean of the beam's U there.
+    """
     lamp, per_pixel = instrument.lamp, rays.w_r.shape[1]
     radius = instrument.holder.sample_diameter_mm / 2
     share = np.full(rays.w_r.shape[:2], 1 / per_pixel)
     # The footprint holds the beam's own disc at every incidence: only pixels that reach out of
-    # it need a closer look.
-    doubtful = np.flatnonzero(rays.reach > 0.999 * min(radius, lamp.lit_diameter_mm / 2))
+    # it need a closer look. On a sample that lies too high the footprint moves towards the lamp.
+    moved = instrument.holder.height_mm * np.tan(theta_i)
+    inside = 0.0 if lamp.edge_falloff else min(radius, lamp.lit_diameter_mm / 2 - abs(moved))
+    doubtful = np.flatnonzero(rays.reach > 0.999 * inside)
     x, y = rays.landing[doubtful, :, 0], rays.landing[doubtful, :, 1]
     lands = (x * x + y * y <= radius**2) & (rays.w_r[doubtful, :, 2] > 0)
-    share[doubtful] *= lamp.lit(theta_i, x, y) * lands
+    share[doubtful] *= lamp.lit(theta_i, x - moved, y) * lands
     return share
+
+
+def sample_share(instrument: Instrument, rays: Rays) -> FloatArray:
+    """Share of the rays of each pixel (n,) that land on the sample, lit or not."""
+    radius = instrument.holder.sample_diameter_mm / 2
+    x, y = rays.landing[..., 0], rays.landing[..., 1]
+    return np.asarray(np.mean((x * x + y * y <= radius**2) & (rays.w_r[..., 2] > 0), axis=1))
 
 
 def white_rate(instrument: Instrument, rays: Rays) -> FloatArray:
@@ -167,6 +232,41 @@ def white_rate(instrument: Instrument, rays: Rays) -> FloatArray:
     dome, sensor = instrument.dome, instrument.sensor
     on_axis = instrument.lamp.white_rate_e_per_s * dome.transmittance * dome.reflectance
     return sensor.n_summed * on_axis * rays.throughput
+
+
+def multibounce_gain(instrument: Instrument, rho: float) -> float:
+    """Growth of the irradiance by light that lens and dome throw back: 1 + g rho."""
+    return 1 + instrument.surroundings.multibounce * rho
+
+
+def irradiance(instrument: Instrument, theta_i: float, seed: int, *, below: bool = False) -> float:
+    """Irradiance of the sample over that of a sample lit at normal incidence from above.
+
+    T_d(P_i)/T_d cos(theta_i), with the angle to the normal of the sample as it lies; light from
+    below passes no dome on its way in: cos(theta_i)/T_d.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    theta_i : float
+        Angle of the lamp arm, radians.
+    seed : int
+        Seed of the dome's coating.
+    below : bool
+        The lamp stands below the sample, for transmission.
+    """
+    cosine = float(instrument.holder.on_surface(unit_vectors(theta_i, 0.0))[2])
+    if below:
+        return cosine / instrument.dome.transmittance
+    return cosine * entry_transmittance(instrument, theta_i, seed)
+
+
+def entry_transmittance(instrument: Instrument, theta_i: float, seed: int) -> float:
+    """T_d where the axis of the lamp's beam enters the dome, over its nominal value."""
+    dome = instrument.dome
+    if not dome.transmittance_variation:
+        return 1.0
+    return float(dome.coating(dome.entry_point(theta_i), _coating_rng(seed))[1])
 
 
 def mean_brdf(
@@ -215,24 +315,102 @@ def _hemisphere() -> tuple[FloatArray, FloatArray]:
     return unit_vectors(theta, phi), np.cos(theta) * weight
 
 
-def stray_rate(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
-    """Lamp light, e-/s, that reaches each pixel (n,) without the sample's help."""
+def stray_rate(
+    instrument: Instrument, rays: Rays, theta_i: float, *, below: bool = False
+) -> FloatArray:
+    """Lamp light, e-/s, that reaches each pixel (n,) without the sample's help.
+
+    From below the beam enters no dome: there is no entry patch.
+    """
     surroundings = instrument.surroundings
+    share = np.full(len(rays.w_r), surroundings.stray)
+    if below:
+        return np.asarray(share * white_rate(instrument, rays))
     w_lamp = unit_vectors(theta_i, 0.0)
     patch = np.arctan(instrument.lamp.lit_diameter_mm / 2 / instrument.dome.R)
-    share = np.full(len(rays.w_r), surroundings.stray)
     near = np.flatnonzero(rays.w_r[:, 0] @ w_lamp > np.cos(min(patch + rays.spread, np.pi)))
     inside = np.einsum("...i,i->...", rays.w_r[near], w_lamp) > np.cos(patch)
     share[near] += surroundings.entry_patch * np.mean(inside, axis=1)
     return np.asarray(share * white_rate(instrument, rays))
 
 
+def ambient_rate(instrument: Instrument, rays: Rays) -> FloatArray:
+    """Room light, e-/s, that reaches each pixel (n,) whether a sample lies there or not."""
+    return instrument.surroundings.ambient * white_rate(instrument, rays)
+
+
+def reflected_ambient_rate(
+    instrument: Instrument, rays: Rays, reflectance: FloatArray
+) -> FloatArray:
+    """Room light, e-/s, that the sample throws to each pixel (n,).
+
+    Parameters
+    ----------
+    reflectance : ndarray, shape (n,)
+        Hemispherical-directional reflectance: what a sample in even light shows in comparison
+        with a perfect white one. By reciprocity it is the albedo for light from that direction.
+    """
+    share = instrument.surroundings.ambient_reflected * sample_share(instrument, rays)
+    return np.asarray(share * reflectance * white_rate(instrument, rays))
+
+
 def standard_brdf(instrument: Instrument, rays: Rays) -> FloatArray:
     """f of the white standard for every ray (n, rays), sr^-1."""
-    theta_r = np.arccos(np.clip(rays.w_r[..., 2], 0, 1))
-    return instrument.standard.brdf(theta_r)
+    z = instrument.holder.on_surface(rays.w_r)[..., 2]
+    return instrument.standard.brdf(np.arccos(np.clip(z, 0, 1)))
 
 
-def in_sample_frame(rays: Rays, psi: float) -> FloatArray:
-    """The rays' viewing directions for a sample turned by `psi`: phi_sample = phi_lab - psi."""
-    return np.ascontiguousarray(rotated(rays.w_r, psi)) if psi else rays.w_r
+def in_sample_frame(instrument: Instrument, vectors: FloatArray, psi: float) -> FloatArray:
+    """Laboratory vectors (..., 3) in the frame of a sample turned by `psi` on its holder.
+
+    phi_sample = phi_lab - psi, about the sample's normal.
+    """
+    on_surface = instrument.holder.on_surface(vectors)
+    return np.ascontiguousarray(rotated(on_surface, psi)) if psi else on_surface
+
+
+_NODES_DEG = np.linspace(0, 88, 23)  # theta of the table of reflectances
+_N_AZIMUTHS = 12
+
+
+def even_light_reflectance(model: Model, p: FloatArray, w_r: FloatArray) -> FloatArray:
+    """Hemispherical-directional reflectance for directions (n, 3), frame of the sample.
+
+    Interpolated in a table over theta, and over phi where the model depends on it: room light is
+    never known to better than that.
+    """
+    theta = np.radians(_NODES_DEG)
+    phi = np.arange(1 if model.claims.isotropic else _N_AZIMUTHS) * 2 * np.pi / _N_AZIMUTHS
+    table = np.array([[albedo(model, p, unit_vectors(t, f)) for f in phi] for t in theta])
+    at_theta = np.degrees(np.arccos(np.clip(w_r[:, 2], 0, 1))) / _NODES_DEG[1]
+    k = np.minimum(at_theta.astype(int), len(theta) - 2)
+    a = np.minimum(at_theta - k, 1.0)
+    at_phi = np.arctan2(w_r[:, 1], w_r[:, 0]) % (2 * np.pi) / (2 * np.pi / _N_AZIMUTHS)
+    j = at_phi.astype(int)
+    b = at_phi - j
+    j, after = j % len(phi), (j + 1) % len(phi)
+    low = table[k, j] * (1 - b) + table[k, after] * b
+    high = table[k + 1, j] * (1 - b) + table[k + 1, after] * b
+    return np.asarray(low * (1 - a) + high * a)
+
+
+def point_spread(image: FloatArray, sd_px: float) -> FloatArray:
+    """The image (rows, columns) blurred by a Gaussian of `sd_px` of its pixels on each axis.
+
+    The weights are those of diffusion on a grid, exp(-s^2) I_n(s^2): they sum to 1 and have the
+    variance s^2 whatever s is, where samples of a Gaussian do so only for s of a pixel and more.
+    At the frame's edges the image is mirrored, so that no light is lost.
+
+    References
+    ----------
+    Lindeberg 1990, "Scale-space for discrete signals", IEEE Trans. PAMI 12(3), pp. 234-254.
+    """
+    if not sd_px:
+        return image
+    reach = int(np.ceil(8 * sd_px)) + 3
+    weights = ive(np.abs(np.arange(-reach, reach + 1)), sd_px**2)
+    weights /= weights.sum()
+    blurred = image
+    for axis in (0, 1):
+        blurred = convolve1d(blurred, weights, axis=axis, mode="reflect")
+    return np.asarray(blurred)

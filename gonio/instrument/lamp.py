@@ -20,6 +20,18 @@ class Lamp(Part):
     half_angle_deg: float = Field(ge=0, le=5, description="half-angle of the source cone")
     lit_diameter_mm: float = Field(gt=0, description="diameter of the beam")
     drift: float = Field(ge=0, le=0.2, description="relative sd of the output, image to image")
+    slow_drift: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.05,
+        description="relative sd by which the output wanders from one incidence to the next",
+    )
+    edge_falloff: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="loss of irradiance from the middle of the beam to its edge, as radius^2",
+    )
 
     def directions(self, theta_i: float, offsets: FloatArray) -> FloatArray:
         """Directions towards points of the source, shape (n, 3), laboratory frame.
@@ -39,10 +51,14 @@ class Lamp(Part):
         return np.asarray(w / np.linalg.norm(w, axis=1, keepdims=True))
 
     def lit(self, theta_i: float, x: FloatArray, y: FloatArray) -> FloatArray:
-        """1 where the beam falls on the plane of the sample at (x, y) mm, else 0.
+        """U of the beam on the plane of the sample at (x, y) mm: 1 in its middle, 0 outside.
 
-        The footprint is an ellipse that grows along x as 1/cos(theta_i).
+        The footprint is an ellipse that grows along x as 1/cos(theta_i); within it
+        U = 1 - edge_falloff (r/radius)^2, r measured across the beam.
         """
         radius = self.lit_diameter_mm / 2
-        inside = (x * np.cos(theta_i)) ** 2 + y**2 <= radius**2
-        return np.asarray(inside, dtype=float)
+        across = (x * np.cos(theta_i)) ** 2 + y**2
+        inside = np.asarray(across <= radius**2, dtype=float)
+        if not self.edge_falloff:
+            return inside
+        return np.asarray(inside * (1 - self.edge_falloff * across / radius**2))

@@ -15,8 +15,10 @@ from gonio.instrument.part import Part
 class Lens(Part):
     """A fisheye that looks along +z; its image has x to the right and y down, as the frame has."""
 
-    projection: Literal["equidistant", "equisolid", "kannala_brandt"] = "equidistant"
-    focal_length_mm: float = Field(gt=0)
+    projection: Literal["equidistant", "equisolid", "kannala_brandt"] = Field(
+        default="equidistant", description="r = f theta, r = 2 f sin(theta/2), or with k"
+    )
+    focal_length_mm: float = Field(gt=0, description="f of the projection")
     k: tuple[float, float, float, float] = Field(
         default=(0.0, 0.0, 0.0, 0.0),
         description="kannala_brandt: r = f theta (1 + k1 theta^2 + k2 theta^4 + ...)",
@@ -26,7 +28,27 @@ class Lens(Part):
     vignetting: float = Field(
         default=0.0, ge=0, lt=1, description="loss of relative illumination at 90 deg, as theta^2"
     )
-    focus: Literal["R/2", "R"] = "R/2"
+    focus: Literal["R/2", "R"] = Field(default="R/2", description="distance of sharp focus")
+    psf_px: float = Field(
+        default=0.0,
+        ge=0,
+        le=50,
+        description="sd of the Gaussian point spread on each axis, unbinned pixels",
+    )
+    pupil_offset_mm: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="entrance pupil from its nominal place (0, -D, 0)"
+    )
+    pupil_walk_mm: float = Field(
+        default=0.0, description="rise of the entrance pupil at 90 deg, as (theta/90 deg)^2"
+    )
+    azimuth_deg: float = Field(
+        default=0.0, description="turn of the camera about the normal, counter-clockwise"
+    )
+    alignment_known: bool = Field(
+        default=False,
+        description="whether the session states pupil, azimuth and image centre as they are; if "
+        "not, it states their nominal values",
+    )
 
     def radius(self, theta: ArrayLike) -> FloatArray:
         """Distance from the image's centre, mm, for polar angles in radians."""
@@ -69,6 +91,25 @@ class Lens(Part):
         safe = np.where(small, 1e-6, t)
         ratio = np.sin(safe) / (self.radius(safe) * self.slope(safe))
         return np.asarray(ratio * self.focal_length_mm**2)
+
+    def pupil_centre(self, theta: ArrayLike, D: float) -> FloatArray:
+        """Centre of the entrance pupil (..., 3), mm from the dome's centre.
+
+        (0, -D, 0) + offset + (0, 0, walk (theta/90 deg)^2): a fisheye's pupil moves forward and
+        up for rays from the side.
+
+        Parameters
+        ----------
+        theta : array_like
+            Polar angle of the chief ray, radians.
+        D : float
+            Half the separation of camera and target, mm.
+        """
+        t = np.asarray(theta, float)
+        centre = np.empty((*t.shape, 3))
+        centre[:] = np.array([0.0, -D, 0.0]) + self.pupil_offset_mm
+        centre[..., 2] += self.pupil_walk_mm * (t / (np.pi / 2)) ** 2
+        return centre
 
     def relative_illumination(self, theta: ArrayLike) -> FloatArray:
         """V(theta) = 1 - vignetting (theta / 90 deg)^2."""

@@ -1,4 +1,4 @@
-"""The compiled sum of plane waves behind the dome's slope errors.
+"""The compiled sum of plane waves behind the dome's slope errors and coating.
 
 Every ray of every pixel needs 64 waves on two axes, some 3e8 cosines for one instrument: they are
 summed wave by wave over runs of points, which the compiler turns into vector instructions.

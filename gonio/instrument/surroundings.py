@@ -1,4 +1,4 @@
-"""What the camera sees besides the sample's first reflection."""
+"""What the camera sees besides the lamp's light from the sample's first reflection."""
 
 from __future__ import annotations
 
@@ -21,6 +21,12 @@ class Surroundings(Part):
     )
     ambient: float = Field(
         default=0.0, ge=0, description="room light, same unit; it does not drift"
+    )
+    ambient_reflected: float = Field(
+        default=0.0,
+        ge=0,
+        description="room light that falls on the sample, as a fraction of the lamp's irradiance "
+        "at normal incidence; without a sample it is not seen",
     )
     multibounce: float = Field(
         default=0.0,

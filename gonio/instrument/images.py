@@ -1,0 +1,196 @@
+"""Expected images: the stages of image formation in the order in which light passes them.
+
+sample or standard -> light that goes round twice -> lamp stray -> lamp drift -> room light ->
+filter -> point spread -> PRNU and dead pixels. What follows, dark current, noise and counts, is
+`noise.expose`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio.geometry import FloatArray
+from gonio.instrument import Instrument, imaging, mirror
+from gonio.metadata import Plan, Role
+from gonio.models import Model
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What lies on the holder.
+
+    Parameters
+    ----------
+    name : str
+    model : Model, optional
+        None for a mirror.
+    p : tuple of ndarray
+        The model's parameter vector in every channel.
+    """
+
+    name: str
+    model: Model | None
+    p: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """What chance decided once for all images of a session.
+
+    Parameters
+    ----------
+    dome_seed, pattern_seed : int
+        Seeds of the dome's fields and of the camera's fixed patterns.
+    standard_scale : float
+        The standard's true reflectance over its certified one.
+    """
+
+    dome_seed: int
+    pattern_seed: int
+    standard_scale: float = 1.0
+
+
+class Images:
+    """Expected images of one surface on one instrument.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    surface : Surface
+    plan : Plan
+    fixed : Fixed
+    threads : int, optional
+        The images do not depend on it.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        surface: Surface,
+        plan: Plan,
+        fixed: Fixed,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        self.instrument, self.surface, self.plan = instrument, surface, plan
+        self.fixed, self.threads = fixed, threads
+        self.rays = imaging.trace_rays(instrument, fixed.dome_seed, threads=threads)
+        self.white = imaging.white_rate(instrument, self.rays)
+        self._f_standard = imaging.standard_brdf(instrument, self.rays)
+        self._response = instrument.sensor.response(fixed.pattern_seed).ravel()
+        self._turned: tuple[float | None, FloatArray] = (None, self.rays.w_r)
+        mean = self.rays.w_r.mean(axis=1)
+        self.mean_directions = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+
+    def rates(
+        self, role: Role, take: int, incidence: int, lamp: Sequence[float] | FloatArray
+    ) -> list[FloatArray]:
+        """Photo-electrons a second (rows, columns), dark current not included, a channel each.
+
+        Parameters
+        ----------
+        role, take, incidence
+            The image, as in `Plan.images`.
+        lamp : sequence of float
+            Output of the lamp over its nominal value in every channel.
+        """
+        theta_i = np.radians(self.plan.incidences(role)[incidence])
+        psi = np.radians(self.plan.rotations_deg[take]) if role == "sample" else 0.0
+        below = self._below(role, incidence)
+        stray = imaging.stray_rate(self.instrument, self.rays, theta_i, below=below)
+        if role == "background":
+            lit = [np.zeros(len(self.rays.pixel))] * len(self.plan.channels)
+        elif role == "standard":
+            lit = [self._standard(theta_i)] * len(self.plan.channels)
+        elif self.surface.model is None:
+            lit = [self._mirror(theta_i, psi)] * len(self.plan.channels)
+        else:
+            lit = self._sample(self.surface.model, theta_i, psi, below=below)
+        room = self._room_light(role, psi)
+        filters = self.instrument.channels
+        return [
+            self._image(((signal + stray) * output + ambient) * through.relative_rate)
+            for signal, output, ambient, through in zip(lit, lamp, room, filters, strict=True)
+        ]
+
+    def _below(self, role: Role, incidence: int) -> bool:
+        """Whether the lamp stands below the sample: not for the standard and its background."""
+        if self.plan.mode != "transmission" or role == "standard":
+            return False
+        return role == "sample" or incidence < len(self.plan.theta_i_deg)
+
+    def _standard(self, theta_i: float) -> FloatArray:
+        rig, scale = self.instrument, self.fixed.standard_scale
+        weights = imaging.lit_weights(rig, self.rays, theta_i)
+        f = scale * np.einsum("ij,ij->i", weights, self._f_standard)
+        gain = imaging.multibounce_gain(rig, scale * rig.standard.reflectance)
+        return np.asarray(self.white * self._irradiance(theta_i) * np.pi * f * gain)
+
+    def _sample(self, model: Model, theta_i: float, psi: float, *, below: bool) -> list[FloatArray]:
+        """The sample's light, a channel each; f of equal parameters is taken once."""
+        rig = self.instrument
+        weights = imaging.lit_weights(rig, self.rays, theta_i)
+        w_r = self._viewing(psi)
+        # Light from below is taken as if mirrored in the plane of the sample: w_i' = (x, y, |z|).
+        lamp = rig.lamp.directions(theta_i, self.rays.source)
+        w_i = imaging.in_sample_frame(rig, lamp, psi)
+        made: dict[bytes, FloatArray] = {}
+        for p in self.surface.p:
+            if p.tobytes() in made:
+                continue
+            f = imaging.mean_brdf(model, p, w_i, w_r, weights, threads=self.threads)
+            gain = 1.0
+            if rig.surroundings.multibounce and not below:
+                centre = w_i.mean(axis=0)
+                rho = imaging.albedo(model, p, centre / np.linalg.norm(centre))
+                gain = imaging.multibounce_gain(rig, rho)
+            irradiance = self._irradiance(theta_i, below=below)
+            made[p.tobytes()] = self.white * irradiance * np.pi * f * gain
+        return [made[p.tobytes()] for p in self.surface.p]
+
+    def _mirror(self, theta_i: float, psi: float) -> FloatArray:
+        rig, seed = self.instrument, self.fixed.dome_seed
+        wedge = np.radians(self.plan.wedge_deg)
+        spot = mirror.spot_rate(rig, self.rays, theta_i, wedge=wedge, psi=psi, seed=seed)
+        return spot * imaging.entry_transmittance(rig, theta_i, seed)
+
+    def _room_light(self, role: Role, psi: float) -> list[FloatArray]:
+        """Room light on its own way and by way of what lies on the holder, a channel each."""
+        rig, n = self.instrument, len(self.plan.channels)
+        direct = imaging.ambient_rate(rig, self.rays)
+        if not rig.surroundings.ambient_reflected or role == "background":
+            return [direct] * n
+        if role == "standard":
+            shown = np.pi * self.fixed.standard_scale * self._f_standard.mean(axis=1)
+            return [direct + imaging.reflected_ambient_rate(rig, self.rays, shown)] * n
+        if self.surface.model is None or self.plan.mode == "transmission":
+            # What a mirror shows of the room, and what a sheet throws back, is not known.
+            return [direct] * n
+        w_r = imaging.in_sample_frame(rig, self.mean_directions, psi)
+        return [
+            direct
+            + imaging.reflected_ambient_rate(
+                rig, self.rays, imaging.even_light_reflectance(self.surface.model, p, w_r)
+            )
+            for p in self.surface.p
+        ]
+
+    def _viewing(self, psi: float) -> FloatArray:
+        """Viewing directions of the rays (n, rays, 3) in the frame of the turned sample."""
+        if self._turned[0] != psi:
+            self._turned = (psi, imaging.in_sample_frame(self.instrument, self.rays.w_r, psi))
+        return self._turned[1]
+
+    def _irradiance(self, theta_i: float, *, below: bool = False) -> float:
+        return imaging.irradiance(self.instrument, theta_i, self.fixed.dome_seed, below=below)
+
+    def _image(self, signal: FloatArray) -> FloatArray:
+        """Light of the pixels in the image circle, put into the frame and through the camera."""
+        sensor = self.instrument.sensor
+        rate = np.zeros(sensor.shape)
+        rate.ravel()[self.rays.pixel] = np.maximum(signal, 0.0)
+        rate = imaging.point_spread(rate, self.instrument.lens.psf_px / sensor.binning)
+        return (rate.ravel() * self._response).reshape(rate.shape)

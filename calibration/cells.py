@@ -4,7 +4,8 @@ The pixels of an image are sorted once along a Morton curve through the equal-ar
 every cell of the quadtree is a run of consecutive pixels. A cell is split while its pixels differ
 by more than their noise and by more than a few per cent; its value is the mean with weights that
 hold no noise of the sample; and it keeps up to 16 members, with the first and second moments of
-all its pixels' areas, so that a fit can integrate the model over the cell as the camera did.
+all its pixels' areas, so that a fit can integrate the model over the cell as the camera did. What
+else averages directions, such as the lamp's cone, widens those moments.
 """
 
 from __future__ import annotations
@@ -165,12 +166,39 @@ def gather(first, last, weight, columns, vectors, area):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def members(first, last, weight, points, centroid):  # type: ignore[no-untyped-def]
+def mean_of(first, last, weight, vectors):  # type: ignore[no-untyped-def]
+    """Weighted mean of vectors (n, k) in each cell, shape (cells, k)."""
+    n, k = first.shape[0], vectors.shape[1]
+    mean = np.zeros((n, k))
+    for c in range(n):
+        total = 0.0
+        for i in range(first[c], last[c]):
+            if weight[i] > 0:
+                total += weight[i]
+                for j in range(k):
+                    mean[c, j] += weight[i] * vectors[i, j]
+        for j in range(k):
+            mean[c, j] /= total
+    return mean
+
+
+@njit(cache=True, nogil=True)
+def members(first, last, weight, points, centroid, blur=0.0):  # type: ignore[no-untyped-def]
     """Members of each cell: directions, weights and offsets.
 
     Every pixel brings its four Gauss points, which integrate over its area. Up to 16 points are
     kept as they are; more are merged into a grid of groups whose centroids are then stretched
-    about the cell's mean until their second moments are those of all points.
+    about the cell's mean until their second moments are those of all points. Points on a line
+    cannot be stretched; four on a cross take their place.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 4, 3)
+        Gauss points of every pixel.
+    centroid : ndarray, shape (cells, 3)
+    blur : float
+        Standard deviation on each axis, radians, of whatever else the camera averages over: its
+        square is added to the second moments of every cell.
     """
     cells = first.shape[0]
     w_r = np.empty((cells * MAX_MEMBERS, 3))
@@ -200,8 +228,7 @@ def members(first, last, weight, points, centroid):  # type: ignore[no-untyped-d
                     n += 1
         for k in range(n):
             g[k] /= total
-        if n > MAX_MEMBERS:
-            n = _merge_points(u, v, g, n)
+        n = _integrate(u, v, g, n, blur)
         for k in range(n):
             rest = math.sqrt(max(1 - u[k] * u[k] - v[k] * v[k], 0.0))
             for j in range(3):
@@ -210,6 +237,57 @@ def members(first, last, weight, points, centroid):  # type: ignore[no-untyped-d
             count += 1
         offsets[c + 1] = count
     return w_r[:count].copy(), share[:count].copy(), offsets
+
+
+@njit(cache=True, nogil=True)
+def _integrate(u, v, g, n, blur):  # type: ignore[no-untyped-def]
+    """Turn n points, four a pixel, into members in place; returns how many.
+
+    Where every pixel keeps its points, those widen about the pixel's own middle: nearer to a
+    convolution than a stretch of the whole cell, which moves the pixels apart.
+    """
+    if n <= MAX_MEMBERS:
+        if blur > 0.0:
+            for k in range(0, n, 4):
+                _widen(u[k : k + 4], v[k : k + 4], g[k : k + 4], blur)
+        return n
+    wanted = _blurred(_moments(u, v, g, n), blur)
+    n = _merge_points(u, v, g, n)
+    if not _stretch(u, v, g, n, wanted):
+        g[:4] = 0.25
+        _cross(u, v, wanted)
+        return 4
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _widen(u, v, g, blur):  # type: ignore[no-untyped-def]
+    """Give a pixel's four points the second moments of the pixel and of a blur."""
+    share = g / np.sum(g)
+    wanted = _blurred(_moments(u, v, share, 4), blur)
+    if not _stretch(u, v, share, 4, wanted):
+        _cross(u, v, wanted)
+
+
+@njit(cache=True, nogil=True)
+def _blurred(moments, blur):  # type: ignore[no-untyped-def]
+    """Moments (mu, mv, suu, suv, svv) after a blur of this standard deviation on each axis."""
+    mu, mv, suu, suv, svv = moments
+    return mu, mv, suu + blur * blur, suv, svv + blur * blur
+
+
+@njit(cache=True, nogil=True)
+def _cross(u, v, wanted):  # type: ignore[no-untyped-def]
+    """Put four points of equal weight in place that have the moments that are wanted."""
+    a11 = math.sqrt(max(wanted[2], 1e-300))
+    a21 = wanted[3] / a11
+    a22 = math.sqrt(max(wanted[4] - a21 * a21, 0.0))
+    reach = math.sqrt(2.0)
+    for k in range(4):
+        s = reach * (1 - k) * ((k + 1) % 2)  # 1, 0, -1, 0
+        t = reach * (2 - k) * (k % 2)  # 0, 1, 0, -1
+        u[k] = wanted[0] + a11 * s
+        v[k] = wanted[1] + a21 * s + a22 * t
 
 
 @njit(cache=True, nogil=True)
@@ -229,8 +307,7 @@ def _tangents(x, y, z, e1, e2):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _merge_points(u, v, g, n):  # type: ignore[no-untyped-def]
-    """Merge n weighted points in place into at most GROUPS^2, moments kept; returns how many."""
-    before = _moments(u, v, g, n)
+    """Merge n weighted points in place into the centroids of a grid; returns how many."""
     u0, u1, v0, v1 = u[0], u[0], v[0], v[0]
     for k in range(1, n):
         u0, u1 = min(u0, u[k]), max(u1, u[k])
@@ -250,24 +327,33 @@ def _merge_points(u, v, g, n):  # type: ignore[no-untyped-def]
         if grid[k, 2] > 0:
             u[m], v[m], g[m] = grid[k, 0] / grid[k, 2], grid[k, 1] / grid[k, 2], grid[k, 2]
             m += 1
-    after = _moments(u, v, g, m)
+    return m
+
+
+@njit(cache=True, nogil=True)
+def _stretch(u, v, g, n, wanted):  # type: ignore[no-untyped-def]
+    """Stretch n points in place about their mean until they have the moments that are wanted.
+
+    False, and nothing done, where the points lie on a line or in one place.
+    """
+    now = _moments(u, v, g, n)
     # Lower Cholesky factors of both covariances; their quotient maps one onto the other.
-    a11, b11 = math.sqrt(before[2]), math.sqrt(max(after[2], 0.0))
-    a21 = before[3] / a11
-    a22 = math.sqrt(max(before[4] - a21 * a21, 0.0))
+    a11, b11 = math.sqrt(wanted[2]), math.sqrt(max(now[2], 0.0))
+    a21 = wanted[3] / a11
+    a22 = math.sqrt(max(wanted[4] - a21 * a21, 0.0))
     if b11 < 1e-9:
-        return m
-    b21 = after[3] / b11
-    b22 = math.sqrt(max(after[4] - b21 * b21, 0.0))
+        return False
+    b21 = now[3] / b11
+    b22 = math.sqrt(max(now[4] - b21 * b21, 0.0))
     if b22 < 1e-9:
-        return m
-    for k in range(m):
-        du, dv = u[k] - after[0], v[k] - after[1]
+        return False
+    for k in range(n):
+        du, dv = u[k] - now[0], v[k] - now[1]
         s = du / b11
         t = (dv - b21 * s) / b22
-        u[k] = before[0] + a11 * s
-        v[k] = before[1] + a21 * s + a22 * t
-    return m
+        u[k] = wanted[0] + a11 * s
+        v[k] = wanted[1] + a21 * s + a22 * t
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gonio.geometry import FloatArray
 from gonio.metadata import Camera
@@ -58,7 +58,7 @@ def merge(bracket: NDArray[np.uint16], exposures_s: tuple[float, ...], camera: C
     exposures_s : tuple of float
         Exposure times, growing.
     camera : Camera
-        Gain, black level, noise and limits of the counts.
+        Gain, black level, response, noise and limits of the counts.
 
     Returns
     -------
@@ -66,18 +66,62 @@ def merge(bracket: NDArray[np.uint16], exposures_s: tuple[float, ...], camera: C
 
     Notes
     -----
-    The rounding of the counts adds 1/12 to their variance.
+    Counts are made linear before anything else (`response_tables`). Their rounding adds 1/12 to
+    their variance.
     """
     well_dn = camera.black_dn + camera.gain_dn_per_e * camera.full_well_e
     top = min(float(camera.saturation_dn), well_dn)
     shape = bracket.shape[1:]
     value, time = np.zeros(shape), np.zeros(shape)
-    n_used = np.zeros(shape)
+    n_used = np.zeros(shape, dtype=np.int64)
     saturated = np.zeros(shape, dtype=np.bool_)
-    _merge(bracket, np.array(exposures_s), camera.black_dn, top, value, time, n_used, saturated)
+    times = np.array(exposures_s)
+    if camera.gamma == 1:
+        _merge(bracket, times, camera.black_dn, top, value, time, n_used, saturated)
+        value /= camera.gain_dn_per_e
+        noise_e2 = n_used * ((camera.noise_dn**2 + 1 / 12) / camera.gain_dn_per_e**2)
+    else:
+        electrons, variance = response_tables(camera)
+        _merge(electrons[bracket], times, 0.0, _electrons(top, camera), value, time, n_used,
+               saturated)  # fmt: skip
+        # The exposures in use are the shortest n of them.
+        summed = np.concatenate([np.zeros((1, *shape)), np.cumsum(variance[bracket], axis=0)])
+        noise_e2 = np.take_along_axis(summed, n_used[None], axis=0)[0]
     safe = np.where(time > 0, time, 1.0)
-    noise_e2 = (camera.noise_dn**2 + 1 / 12) / camera.gain_dn_per_e**2
-    return Rate(value / camera.gain_dn_per_e / safe, time, n_used * noise_e2 / safe**2, saturated)
+    return Rate(value / safe, time, noise_e2 / safe**2, saturated)
+
+
+def response_tables(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Electrons of every count from 0 to 65535, and their variance by read noise and rounding.
+
+    Notes
+    -----
+    counts - black = gain Q (e-/Q)^gamma with Q the full well is inverted, as an odd function so
+    that noise about the black level has the mean 0. Read noise and rounding, s in counts, come
+    after the response: on its curved inverse e(x) their mean is not 0, and what they add to
+    second order, [e(x + s) + e(x - s)]/2 - e(x), is taken off. Their variance is the square of
+    [e(x + s) - e(x - s)]/2, a slope that does not vanish at the black level. Within 5 s of it a
+    bias of up to 0.15 of the standard deviation is left.
+
+    Examples
+    --------
+    >>> camera = Camera(rows=1, columns=1, pitch_mm=(0.01, 0.01), gain_dn_per_e=0.025,
+    ...                 black_dn=0, saturation_dn=255, full_well_e=10000, noise_dn=0,
+    ...                 dark_e_per_s=0, gamma=0.5)
+    >>> electrons, _ = response_tables(camera)
+    >>> [round(float(e)) for e in electrons[[0, 50, 250]]]
+    [0, 400, 10000]
+    """
+    counts = np.arange(65536.0)
+    s = np.sqrt(camera.noise_dn**2 + 1 / 12)
+    here, above, below = (_electrons(counts + step, camera) for step in (0.0, s, -s))
+    return 2 * here - (above + below) / 2, ((above - below) / 2) ** 2
+
+
+def _electrons(counts: ArrayLike, camera: Camera) -> FloatArray:
+    """Inverse of the response, odd about the black level."""
+    x = (np.asarray(counts, float) - camera.black_dn) / (camera.gain_dn_per_e * camera.full_well_e)
+    return np.asarray(camera.full_well_e * np.sign(x) * np.abs(x) ** (1 / camera.gamma))
 
 
 def average(rates: list[Rate]) -> Rate:
@@ -94,12 +138,12 @@ def average(rates: list[Rate]) -> Rate:
 
 @njit(cache=True, nogil=True)
 def _merge(bracket, exposures, black, top, value, time, n_used, saturated):  # type: ignore[no-untyped-def]
-    """Sum of counts above black and sum of times over the usable exposures of every pixel."""
+    """Sum of linear counts and sum of times over the usable exposures of every pixel."""
     n, rows, columns = bracket.shape
     full = black + SATURATED * (top - black)
     usable = np.empty(columns, np.bool_)
     # Sums over three rows, with an empty column on either side.
-    sums = np.zeros(columns + 2, np.int64)
+    sums = np.zeros(columns + 2)
     for i in range(rows):
         a, b = max(i - 1, 0), min(i + 2, rows)
         for j in range(columns):
@@ -131,9 +175,9 @@ def _merge(bracket, exposures, black, top, value, time, n_used, saturated):  # t
                     saturated[i, j] = True
                     value[i, j] = 0.0
                     time[i, j] = 0.0
-                    n_used[i, j] = 0.0
+                    n_used[i, j] = 0
                     usable[j] = False
                     continue
                 value[i, j] += bracket[k, i, j] - black
                 time[i, j] += exposures[k]
-                n_used[i, j] += 1.0
+                n_used[i, j] += 1

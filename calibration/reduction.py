@@ -1,23 +1,27 @@
-"""Raw frames to BRDF samples: merge, eq. (2), eq. (3), mask, thin."""
+"""Raw frames to BRDF samples: merge, eq. (2), eq. (3) or the exact mirror, mask, thin."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from gonio.calibration import cells, lens, reflector, standard
+from gonio.calibration import cells, faults, standard
+from gonio.calibration.evidence import Evidence, Finding
 from gonio.calibration.exposure import Rate, average, merge
-from gonio.calibration.shared_terms import shared_terms
-from gonio.errors import DataError
-from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated, unit_vectors
+from gonio.calibration.light_terms import unknown_light
+from gonio.calibration.mapping import PixelMap
+from gonio.calibration.reflector import Mapping
+from gonio.calibration.shared_terms import notes, shared_terms, unknown
+from gonio.errors import ConfigurationError, DataError
+from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated
 from gonio.kernels.threads import default_threads
 from gonio.metadata import Metadata
-from gonio.samples import FLAG_PARTIAL, BRDFSamples, Cells
+from gonio.samples import FLAG_ENTRY, FLAG_PARTIAL, BRDFSamples, Cells
 from gonio.session import Session
 
 Progress = Callable[[int, int], None]
@@ -26,6 +30,10 @@ Progress = Callable[[int, int], None]
 def reduce(
     session: Session | str | Path,
     *,
+    mapping: Mapping = "eq3",
+    geometry: str | Path | None = None,
+    retro: bool = False,
+    force: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> BRDFSamples:
@@ -35,6 +43,19 @@ def reduce(
     ----------
     session : Session or path
         Raw frames with their metadata.
+    mapping : {"eq3", "exact"}
+        How pixels become directions: Ward's eq. (3), as the paper does, or the law of reflection
+        on the dome's shape. Both start from the calibrated pupil, image centre and camera azimuth
+        where the session has them.
+    geometry : path, optional
+        File of a geometry by `gonio calibrate alignment`, in place of what the session states.
+    retro : bool
+        Keep the pixels that look through the patch of the dome where the lamp's beam enters, as
+        samples of their own with the flag `FLAG_ENTRY`. Their light returns to the lamp; the
+        lamp's stray light costs them shot noise and, where the lamp drifts, an error of the
+        image. The other samples do not depend on it.
+    force : bool
+        Go on where the frames are found to be wrong; what is wrong then stands in the history.
     threads : int, optional
         Images are reduced in so many threads; the result does not depend on it.
     progress : callable, optional
@@ -47,31 +68,79 @@ def reduce(
 
     Raises
     ------
+    ConfigurationError
+        For an unknown mapping, a lens or pupil that cannot be, a geometry of another instrument,
+        or a session of a mirror.
     DataError
-        If frames are missing or damaged, or no pixel is usable.
+        If frames are missing, damaged or wrong (`faults`), or no pixel is usable.
 
     Notes
     -----
     Each pixel is linearised and merged over its exposures, turned into a BRDF by Ward's eq. (2),
-    placed by eq. (3), masked (saturated, outside the image circle, beyond the usable rim, in the
-    lamp's entry patch) and averaged with its neighbours in equal-area cells.
+    placed by eq. (3) or exactly, masked (saturated, outside the image circle, beyond the usable
+    rim, in the lamp's entry patch) and averaged with its neighbours in equal-area cells. A cell's
+    members span the pixels' areas and the lamp's cone of half-angle a: for a lobe about the half
+    vector the cone acts as a blur of the viewing direction of standard deviation a/2 on each axis.
     """
     if not isinstance(session, Session):
         session = Session.open(session)
     session.require_complete()
-    table = _pixel_table(session.metadata)
-    plan = session.metadata.plan
+    metadata, seen, held = _located(session.metadata, mapping, geometry)
+    table = _pixel_table(metadata, seen)
+    plan = metadata.plan
     incidences = range(len(plan.theta_i_deg))
     n_images = len(incidences) * len(plan.rotations_deg)
+    evidence = Evidence(metadata, table.theta_r, table.phi_r)
     parts: list[Part] = []
     with ThreadPoolExecutor(threads or default_threads()) as pool:
-        work = pool.map(lambda i: list(_reduce_incidence(session, table, i)), incidences)
+        work = pool.map(
+            lambda i: list(_reduce_incidence(session, table, evidence, i, retro)), incidences
+        )
         for done in work:
             parts.extend(done)
             if progress is not None:
-                progress(len(parts), n_images)
-    samples = _collect(session.metadata, parts)
-    return replace(samples, metadata={**samples.metadata, "session": str(session.path)})
+                progress(sum(not part.entry for part in parts), n_images)
+    found = faults.findings(evidence)
+    if not force:
+        _stop_at_errors(session, found)
+    samples = _collect(metadata, seen, parts)
+    if held:
+        line = f"geometry: {', '.join(held)} not determined by the alignment, as stated before"
+        samples = replace(samples, history=(*samples.history, line))
+    return replace(
+        samples,
+        history=(*samples.history, *(f"{finding.severity}: {finding.text}" for finding in found)),
+        metadata={
+            **samples.metadata,
+            "session": str(session.path),
+            "findings": [asdict(finding) for finding in found],
+        },
+    )
+
+
+def _stop_at_errors(session: Session, found: tuple[Finding, ...]) -> None:
+    errors = [finding for finding in found if finding.severity == "error"]
+    if errors:
+        more = f" ({len(errors) - 1} more such findings.)" if len(errors) > 1 else ""
+        raise DataError(f"{session.path}: {errors[0].text}{more}", value=errors)
+
+
+def _located(
+    metadata: Metadata, mapping: Mapping, geometry: str | Path | None
+) -> tuple[Metadata, PixelMap, tuple[str, ...]]:
+    """Metadata and mapping with a calibrated geometry in place, and what that left open."""
+    if metadata.plan.mode == "mirror":
+        raise ConfigurationError(
+            "a session of a mirror has no BRDF; it is for 'gonio calibrate alignment'.",
+            value=metadata.plan.mode,
+        )
+    if geometry is None:
+        return metadata, PixelMap.of(metadata, mapping), ()
+    from gonio.calibration import geometry_file
+
+    calibrated = geometry_file.read(geometry)
+    metadata = calibrated.applied(metadata)
+    return metadata, PixelMap.of(metadata, mapping, calibrated.uncertain), calibrated.held
 
 
 @dataclass(frozen=True)
@@ -80,10 +149,12 @@ class _PixelTable:
 
     index: NDArray[np.int64]  # flat index in the frame
     keys: NDArray[np.int64]
-    w_r: FloatArray  # (n, 3) centres, by eq. (3)
-    points: FloatArray  # (n, 4, 3) Gauss points of each pixel's area, by eq. (3)
+    at: FloatArray  # (n, 2) column and row
+    w_r: FloatArray  # (n, 3) centres
+    points: FloatArray  # (n, 4, 3) Gauss points of each pixel's area
     solid_angle: FloatArray  # (n,) sr on the side of the sample
     theta_r: FloatArray  # (rows, columns), NaN outside the image circle
+    phi_r: FloatArray
 
 
 @dataclass(frozen=True)
@@ -96,21 +167,23 @@ class Part:
     rotation: int
     means: FloatArray  # value, own variance, shared variance, noise slope
     centroid: FloatArray
-    shift: FloatArray
+    at: FloatArray  # mean column and row
+    stray: FloatArray  # stray light as f, and in the standard's image as a part of its signal
     solid_angle: FloatArray
     partial: NDArray[np.bool_]
     members: Cells
     n_used: int
     n_saturated: int
     n_reference: int
+    entry: bool  # cells of the lamp's entry patch
 
 
-def _pixel_table(metadata: Metadata) -> _PixelTable:
+def _pixel_table(metadata: Metadata, seen: PixelMap) -> _PixelTable:
     camera, geometry = metadata.camera, metadata.geometry
     columns, rows = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
-    theta_r, w_r = _mapped(metadata, columns, rows)
-    usable = theta_r <= np.radians(geometry.usable_theta_r_deg)
-    index = np.flatnonzero(usable)
+    w_r = seen.directions(columns, rows)
+    theta_r, phi_r = angles(w_r)
+    index = np.flatnonzero(theta_r <= np.radians(geometry.usable_theta_r_deg))
     if len(index) == 0:
         raise DataError(
             f"no pixel lies inside theta_r <= {geometry.usable_theta_r_deg:g} deg; "
@@ -120,70 +193,59 @@ def _pixel_table(metadata: Metadata) -> _PixelTable:
     keys = cells.morton_keys(x, y)
     order = np.argsort(keys, kind="stable")
     index = index[order]
+    columns, rows = columns.ravel()[index], rows.ravel()[index]
     # Gauss-Legendre points of order 2 in each direction integrate over the pixel's area.
     half = 0.5 / np.sqrt(3)
     points = np.stack(
-        [
-            _mapped(metadata, columns.ravel()[index] + dx, rows.ravel()[index] + dy)[1]
-            for dx in (-half, half)
-            for dy in (-half, half)
-        ],
+        [seen.directions(columns + dx, rows + dy) for dx in (-half, half) for dy in (-half, half)],
         axis=1,
     )
     return _PixelTable(
         index=index,
         keys=keys[order],
+        at=np.stack([columns, rows], axis=1).astype(float),
         w_r=np.ascontiguousarray(w_r.reshape(-1, 3)[index]),
         points=np.ascontiguousarray(points),
-        solid_angle=_solid_angles(metadata, columns.ravel()[index], rows.ravel()[index]),
+        solid_angle=seen.solid_angles(columns, rows),
         theta_r=theta_r,
+        phi_r=phi_r,
     )
 
 
-def _mapped(
-    metadata: Metadata, columns: ArrayLike, rows: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """theta_r and unit vectors of (fractional) pixels, by the lens and eq. (3)."""
-    x, y = lens.pixel_positions(metadata.camera, columns, rows)
-    theta_c, phi_c = lens.camera_angles(metadata.lens, x, y)
-    R, D = metadata.geometry.R, metadata.geometry.D
-    theta_r, phi_r = reflector.reflected_angles(theta_c, phi_c, R=R, D=D)
-    return theta_r, unit_vectors(theta_r, phi_r)
-
-
-def _solid_angles(metadata: Metadata, columns: ArrayLike, rows: ArrayLike) -> FloatArray:
-    """Solid angles of pixels on the side of the sample, sr."""
-    camera, geometry = metadata.camera, metadata.geometry
-    x, y = lens.pixel_positions(camera, columns, rows)
-    theta_c, phi_c = lens.camera_angles(metadata.lens, x, y)
-    # The lens is close to equal angles per pixel: sin(theta)/r dtheta/dr is taken numerically.
-    step = 1e-4
-    radius = np.hypot(x, y)
-    scale = 1 + step / np.maximum(radius, step)
-    further, _ = lens.camera_angles(metadata.lens, x * scale, y * scale)
-    per_area = np.sin(theta_c) * (further - theta_c) / (step * np.maximum(radius, step))
-    solid_angle = per_area * camera.pitch_mm[0] * camera.pitch_mm[1]
-    ratio = reflector.solid_angle_ratio(theta_c, phi_c, R=geometry.R, D=geometry.D)
-    return np.asarray(solid_angle * ratio)
-
-
-def _reduce_incidence(session: Session, table: _PixelTable, incidence: int) -> Iterator[Part]:
+def _reduce_incidence(
+    session: Session, table: _PixelTable, evidence: Evidence, incidence: int, retro: bool
+) -> Iterator[Part]:
     """All rotations of one incidence, which share background and standard."""
     metadata = session.metadata
     plan, camera = metadata.plan, metadata.camera
 
-    def taken(role: str, take: int) -> Rate:
-        return merge(session.bracket(role, take, incidence), plan.exposures_s, camera)
+    def taken(role: str, take: int, at: int) -> Rate:
+        bracket = session.bracket(role, take, at)
+        rate = merge(bracket, plan.exposures_s, camera)
+        evidence.see(role, take, at, bracket, rate)
+        return rate
 
+    def averaged(role: str, at: int) -> Rate:
+        return average([taken(role, k, at) for k in range(plan.repeats)])
+
+    theta_i = float(np.radians(plan.theta_i_deg[incidence]))
+    # Where the standard was taken once, the last of the backgrounds is its own.
+    at_one = plan.standard_theta_i_deg
+    alone = at_one is not None
+    theta_std = theta_i if at_one is None else float(np.radians(at_one))
     ref = standard.reference(
-        average([taken("background", k) for k in range(plan.repeats)]),
-        average([taken("standard", k) for k in range(plan.repeats)]),
-        metadata.standard,
-        table.theta_r,
+        averaged("background", incidence),
+        averaged("standard", 0 if alone else incidence),
+        standard.standard_brdf(metadata.standard, theta_std, table.theta_r, table.phi_r),
         dark_e_per_s=camera.dark_e_per_s,
+        irradiance=standard.irradiance_ratio(metadata, theta_i),
+        standard_background=averaged("background", len(plan.theta_i_deg)) if alone else None,
     )
+    evidence.see_reference(incidence, ref)
     for rotation in range(len(plan.rotations_deg)):
-        yield _reduce_image(metadata, table, ref, taken("sample", rotation), incidence, rotation)
+        measured = taken("sample", rotation, incidence)
+        for entry in (False, True) if retro else (False,):
+            yield _reduce_image(metadata, table, ref, measured, incidence, rotation, entry=entry)
 
 
 def _reduce_image(
@@ -193,12 +255,16 @@ def _reduce_image(
     measured: Rate,
     incidence: int,
     rotation: int,
+    *,
+    entry: bool,
 ) -> Part:
+    """Cells of one image, outside the lamp's entry patch or inside it."""
     f = standard.brdf(measured, ref)
     # Splits and weights follow a median-filtered guide, not the noise that is averaged.
     guide = cells.median(f)
     own, shared = standard.variances(measured, ref, guide)
-    good = ref.usable & ~measured.saturated & (measured.time > 0)
+    wanted = ref.entry if entry else ref.usable
+    good = wanted & ~measured.saturated & (measured.time > 0)
     safe_time = np.where(good, measured.time, 1.0)
     # sum of counts over sum of (time x standard): optimal for shot noise and free of it.
     weight = np.where(good, safe_time / np.where(good, ref.f_per_rate, 1.0), 0.0)
@@ -212,9 +278,9 @@ def _reduce_image(
         first, last, weight_s, columns, table.w_r, table.solid_angle
     )
     means = _at_own_value(means)
-    w_m, share, offsets = cells.members(first, last, weight_s, table.points, centroid)
-    geometry = metadata.geometry
-    shift = reflector.mapping_error(centroid, R=geometry.R, D=geometry.D, shape=geometry.shape)
+    # A uniform disc of half-angle a has the standard deviation a/2 on each axis.
+    cone = float(np.radians(metadata.lamp.half_angle_deg or 0.0)) / 2
+    w_m, share, offsets = cells.members(first, last, weight_s, table.points, centroid, cone)
     psi = np.radians(metadata.plan.rotations_deg[rotation])
     return Part(
         theta_i=float(np.radians(metadata.plan.theta_i_deg[incidence])),
@@ -223,13 +289,20 @@ def _reduce_image(
         rotation=rotation,
         means=means,
         centroid=rotated(centroid, psi),
-        shift=rotated(shift, psi),
+        at=cells.mean_of(first, last, weight_s, table.at),
+        stray=cells.mean_of(
+            first,
+            last,
+            weight_s,
+            np.stack([image.ravel()[at] for image in (ref.stray, ref.standard_stray)], axis=1),
+        ),
         solid_angle=solid_angle,
         partial=partial,
         members=Cells(rotated(w_m, psi), share, offsets),
         n_used=int(np.count_nonzero(weight_s > 0)),
-        n_saturated=int(np.count_nonzero(measured.saturated.ravel()[at])),
-        n_reference=int(np.count_nonzero(~ref.usable.ravel()[at])),
+        n_saturated=int(np.count_nonzero((wanted & measured.saturated).ravel()[at])),
+        n_reference=0 if entry else int(np.count_nonzero(~ref.usable.ravel()[at])),
+        entry=entry,
     )
 
 
@@ -247,7 +320,7 @@ def _at_own_value(means: FloatArray) -> FloatArray:
     return np.stack([means[0], own, shared * np.clip(ratio, 0.7, 1.4) ** 2, slope])
 
 
-def _collect(metadata: Metadata, parts: list[Part]) -> BRDFSamples:
+def _collect(metadata: Metadata, seen: PixelMap, parts: list[Part]) -> BRDFSamples:
     """Put the images' cells together, with the errors they share."""
     parts = [part for part in parts if part.means.shape[1]]
     if not parts:
@@ -263,6 +336,8 @@ def _collect(metadata: Metadata, parts: list[Part]) -> BRDFSamples:
     ends = np.cumsum([0] + [len(part.members.weight) for part in parts])
     offsets = [part.members.offsets[1:] + end for part, end in zip(parts, ends, strict=False)]
     partial = np.concatenate([part.partial for part in parts])
+    entry = np.repeat([part.entry for part in parts], counts)
+    alone = metadata.plan.standard_theta_i_deg is not None
     return BRDFSamples(
         directions=Directions(
             np.repeat([part.theta_i for part in parts], counts),
@@ -274,34 +349,46 @@ def _collect(metadata: Metadata, parts: list[Part]) -> BRDFSamples:
         u_independent=np.sqrt(own + shared),
         noise_slope=slope,
         u_reference=np.sqrt(shared),
-        reference_sharing=rotations,
-        shared=shared_terms(metadata, parts, image, incidence),
+        # Where the standard was taken once every image uses it; that each has a background of its
+        # own is left out, which errs on the safe side.
+        reference_sharing=len(metadata.plan.theta_i_deg) * rotations if alone else rotations,
+        shared=shared_terms(metadata, seen, parts, image, incidence),
         solid_angle=np.concatenate([part.solid_angle for part in parts]),
-        flags=(partial * FLAG_PARTIAL).astype(np.uint8),
+        flags=(partial * FLAG_PARTIAL + entry * FLAG_ENTRY).astype(np.uint8),
         image=image,
         cells=Cells(
             np.concatenate([part.members.w_r for part in parts]),
             np.concatenate([part.members.weight for part in parts]),
             np.concatenate([[0], *offsets]).astype(np.int64),
         ),
-        history=_history(metadata, parts, sum(counts)),
-        metadata={"instrument": metadata.instrument, "sample": metadata.sample},
+        history=_history(metadata, seen, parts, sum(counts)),
+        metadata={
+            "instrument": metadata.instrument,
+            "sample": metadata.sample,
+            "unknown": list(unknown(metadata, seen)),
+        },
+        quantity="BTDF" if metadata.plan.mode == "transmission" else "BRDF",
     )
 
 
-def _history(metadata: Metadata, parts: list[Part], n: int) -> tuple[str, ...]:
+def _history(metadata: Metadata, seen: PixelMap, parts: list[Part], n: int) -> tuple[str, ...]:
     geometry = metadata.geometry
+    retro = sum(part.n_used for part in parts if part.entry)
     masked = {
         "saturated": sum(part.n_saturated for part in parts),
-        "entry patch or dark standard": sum(part.n_reference for part in parts),
+        "entry patch or dark standard": sum(part.n_reference for part in parts) - retro,
     }
     used = sum(part.n_used for part in parts)
+    images = {(part.incidence, part.rotation) for part in parts}
     return (
-        f"{metadata.instrument}: {metadata.sample}, {len(parts)} images of "
+        f"{metadata.instrument}: {metadata.sample}, {len(images)} images of "
         f"{len(metadata.plan.exposures_s)} exposures merged",
-        f"eq. (2) with a standard of {metadata.standard.reflectance:g}",
-        f"eq. (3) with R = {geometry.R:g} mm, D = {geometry.D:g} mm ({geometry.shape})",
+        standard.describe(metadata),
+        seen.describe(),
         f"masked: theta_r > {geometry.usable_theta_r_deg:g} deg; "
         + "; ".join(f"{k} {v} pixels" for k, v in masked.items()),
         f"{used} pixels in {n} equal-area cells",
+        *([f"retro: {retro} of them in the lamp's entry patch, flagged"] if retro else []),
+        *notes(metadata, seen),
+        *(f"unknown, not included: {source}" for source in unknown_light(metadata)),
     )

@@ -1,4 +1,4 @@
-"""The errors that the samples of a session share: mapping, source, dome, standard, lamp."""
+"""The errors that the samples of a session share: those of direction here, of light beside."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.geometry import FloatArray, angles, rotated
-from gonio.metadata import Metadata
+from gonio.calibration.light_terms import light_terms, unknown_light
+from gonio.calibration.mapping import PixelMap, across, error_modes, left_out
+from gonio.geometry import FloatArray, rotated
+from gonio.metadata import LampRecord, Metadata
 from gonio.samples import SharedTerm
 
 if TYPE_CHECKING:
     from gonio.calibration.reduction import Part
 
+ASSUMED_CONE = 0.1  # relative uncertainty of a half-angle of the lamp that states none
+
 
 def shared_terms(
     metadata: Metadata,
+    seen: PixelMap,
     parts: list[Part],
     image: NDArray[np.int64],
     incidence: NDArray[np.int64],
@@ -26,53 +31,90 @@ def shared_terms(
     Parameters
     ----------
     metadata : Metadata
+    seen : PixelMap
+        The mapping of the pixels.
     parts : list of Part
         The images' cells, in the order of the samples.
     image, incidence : ndarray of int64, shape (N,)
         Image and incidence of every sample.
     """
-    terms = [
-        SharedTerm(
-            "mapping",
-            "what eq. (3) leaves out on this dome, to leading order",
-            shift=np.concatenate([part.shift for part in parts]),
-        )
-    ]
-    source = (
-        np.radians(metadata.lamp.half_angle_deg or 0.0) / 2
-    )  # sd of a uniform disc on each axis
-    if source:
-        terms.append(SharedTerm("source cone", "the lamp's finite half-angle", blur=source))
+    terms = _geometry_terms(seen, parts)
+    terms += _source_terms(metadata.lamp)
     terms += _slope_terms(metadata, parts, incidence)
-    if metadata.limits.multibounce:
-        share = metadata.limits.multibounce * metadata.standard.reflectance
-        terms.append(SharedTerm("multi-bounce", "light that reaches the sample twice", share))
-    if metadata.standard.uncertainty:
-        terms.append(
-            SharedTerm(
-                "standard", "reflectance of the white standard", metadata.standard.uncertainty
-            )
-        )
-    if metadata.standard.rolloff_uncertainty:
-        theta_r = angles(np.concatenate([part.centroid for part in parts]))[0]
-        terms.append(
-            SharedTerm(
-                "standard, shape",
-                "how the standard departs from a Lambertian one at high angles",
-                metadata.standard.rolloff_uncertainty,
-                profile=(theta_r / np.radians(75)) ** 4,
-            )
-        )
-    if metadata.lamp.drift:
-        drift = metadata.lamp.drift
-        terms.append(SharedTerm("lamp, sample", "lamp output, image to image", drift, image))
-        # The standard's image is averaged over its repeats and serves every rotation.
-        averaged = drift / np.sqrt(metadata.plan.repeats)
-        terms.append(
-            SharedTerm("lamp, standard", "lamp output when the standard was taken", averaged,
-                       incidence)
-        )  # fmt: skip
+    terms += light_terms(metadata, parts, image, incidence)
     return tuple(terms)
+
+
+def unknown(metadata: Metadata, seen: PixelMap) -> tuple[str, ...]:
+    """Sources of error whose size nobody stated, and that no uncertainty holds."""
+    figures = {"geometry": "geometry of the dome", "lens": "lens calibration"}
+    found = [f"{text} ({name}.uncertain)" for name, text in figures.items()
+             if name not in seen.uncertain]  # fmt: skip
+    if metadata.lamp.half_angle_deg is None:
+        found.append("the lamp's cone (lamp.half_angle_deg)")
+    if metadata.limits.slope_error_deg is None:
+        found.append("slope errors of the dome (limits.slope_error_deg)")
+    return (*found, *unknown_light(metadata))
+
+
+def notes(metadata: Metadata, seen: PixelMap) -> tuple[str, ...]:
+    """What the geometry's terms rest on, for the history: what is unknown, what is assumed."""
+    unknown = [name for name in ("geometry", "lens") if name not in seen.uncertain]
+    lines = []
+    if unknown:
+        lines.append(f"uncertainty of the {' and of the '.join(unknown)}: unknown, not included")
+    angle, u = metadata.lamp.half_angle_deg, metadata.lamp.u_half_angle_deg
+    if angle is None:
+        lines.append("source cone: half-angle unknown, not included")
+    elif angle or u:
+        stated = f"unknown, {ASSUMED_CONE:.0%} assumed" if u is None else f"{u:g} deg"
+        lines.append(
+            f"source cone of half-angle {angle:g} deg is part of the members; "
+            f"its uncertainty: {stated}"
+        )
+    return tuple(lines)
+
+
+def _geometry_terms(seen: PixelMap, parts: list[Part]) -> list[SharedTerm]:
+    """What eq. (3) leaves out, and the errors of the calibrated figures behind the mapping."""
+    at = [part.at.T for part in parts]
+    columns, rows = np.concatenate(at, axis=1)
+
+    def turned(shift: FloatArray) -> FloatArray:
+        """Shifts in the frame of the sample, across the directions of its cells."""
+        ends = np.cumsum([pixels.shape[1] for pixels in at])[:-1]
+        pieces = zip(np.split(shift, ends), parts, strict=True)
+        return np.concatenate([across(rotated(s, p.psi), p.centroid) for s, p in pieces])
+
+    terms = []
+    if seen.mapping == "eq3":
+        terms.append(
+            SharedTerm(
+                "mapping",
+                "what eq. (3) leaves out on this dome",
+                shift=turned(left_out(seen, columns, rows)),
+            )
+        )
+    for name, uncertain in seen.uncertain.items():
+        for number, mode in enumerate(error_modes(seen, uncertain, columns, rows), start=1):
+            meaning = f"calibration of the {name}: mostly {', '.join(mode.figures)}"
+            terms.append(SharedTerm(f"{name}, mode {number}", meaning, shift=turned(mode.shift)))
+    return terms
+
+
+def _source_terms(lamp: LampRecord) -> list[SharedTerm]:
+    """How far the half-angle a of the lamp may be off: the members hold the cone itself.
+
+    A cone of a + u blurs by another sqrt((a + u)^2 - a^2)/2 on each axis.
+    """
+    if lamp.half_angle_deg is None:
+        return []
+    a = np.radians(lamp.half_angle_deg)
+    u = ASSUMED_CONE * a if lamp.u_half_angle_deg is None else np.radians(lamp.u_half_angle_deg)
+    blur = float(np.sqrt((a + u) ** 2 - a**2)) / 2
+    if not blur:
+        return []
+    return [SharedTerm("source cone", "half-angle of the lamp's cone", blur=blur)]
 
 
 def _slope_terms(

@@ -101,9 +101,7 @@ def _moves(
     elif term.blur:
         change = _blurred(problem, term.blur, p) - f
     else:
-        change = term.relative * f
-        if term.profile is not None:
-            change = change * term.profile
+        change = term.change(f)
     if term.group is None:
         return np.asarray(gain @ change)[None, :]
     _, group = np.unique(term.group, return_inverse=True)

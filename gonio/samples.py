@@ -1,4 +1,11 @@
-"""BRDF samples: what calibration makes, what files hold, what fitting takes."""
+"""BRDF samples: what calibration makes, what files hold, what fitting takes.
+
+Samples of a surface seen in transmission (BTDF) are the same but for their incident direction:
+it lies below the surface and is stored mirrored in the plane of the sample, so that both polar
+angles are at most 90 deg. Light that goes straight through then leaves where a mirror would send
+it, at (theta_i, phi_i + 180 deg), and the models of reflection fit lobes of transmission as they
+stand.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +13,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +23,15 @@ from gonio.files import atomic_path
 from gonio.geometry import HORIZON, Directions, FloatArray
 
 SCHEMA = "gonio.samples/1"
-QUANTITY = "BRDF in sr^-1, cosine not included"
+Quantity = Literal["BRDF", "BTDF"]
+QUANTITIES = {kind: f"{kind} in sr^-1, cosine not included" for kind in get_args(Quantity)}
 CONVENTION = (
     "radians; both directions leave the surface; theta from the normal; phi from +x, "
     "counter-clockwise seen from outside"
 )
+MIRRORED = "; the incident direction, below the surface, is mirrored in the plane of the sample"
 FLAG_PARTIAL = 1  # some pixels of the cell were masked
+FLAG_ENTRY = 2  # seen through the patch of the dome where the lamp's beam enters
 MAX_SAMPLES = 50_000_000
 
 
@@ -56,6 +66,9 @@ class Cells:
 class SharedTerm:
     """An error that many samples share: one unknown number with unit variance for each group.
 
+    It moves viewing directions (`shift`, `blur`) or values, by `relative` times the value times
+    `profile`, plus `offset`.
+
     Parameters
     ----------
     name, meaning : str
@@ -72,6 +85,9 @@ class SharedTerm:
     blur : float
         Standard deviation on each axis, radians, by which viewing directions may be blurred; used
         in place of `relative` where positive.
+    offset : ndarray, shape (N,), optional
+        Change of the sample's value for one standard deviation whatever the value is, sr^-1; it
+        adds to what `relative` does.
     """
 
     name: str
@@ -81,6 +97,7 @@ class SharedTerm:
     shift: FloatArray | None = None
     blur: float = 0.0
     profile: FloatArray | None = None
+    offset: FloatArray | None = None
 
     def select(self, keep: NDArray[np.int64]) -> SharedTerm:
         """The term for these samples."""
@@ -89,7 +106,20 @@ class SharedTerm:
             group=None if self.group is None else self.group[keep],
             shift=None if self.shift is None else self.shift[keep],
             profile=None if self.profile is None else self.profile[keep],
+            offset=None if self.offset is None else self.offset[keep],
         )
+
+    @property
+    def moves_directions(self) -> bool:
+        """Whether the error is one of the viewing direction and not of the value."""
+        return self.shift is not None or self.blur > 0
+
+    def change(self, value: FloatArray) -> FloatArray:
+        """Change of values (N,) for one standard deviation; 0 where it `moves_directions`."""
+        change = (0.0 if self.moves_directions else self.relative) * value
+        if self.profile is not None:
+            change = change * self.profile
+        return change if self.offset is None else change + self.offset
 
 
 @dataclass(frozen=True)
@@ -116,7 +146,8 @@ class BRDFSamples:
     solid_angle : ndarray, shape (N,), optional
         Solid angle of the cell, sr.
     flags : ndarray of uint8, shape (N,), optional
-        Bit `FLAG_PARTIAL`: part of the cell was masked.
+        Bit `FLAG_PARTIAL`: part of the cell was masked. Bit `FLAG_ENTRY`: seen through the patch
+        where the lamp's beam enters the dome, that is close to the retro direction.
     image : ndarray of int64, shape (N,), optional
         Index of the image (incidence and rotation) the sample comes from.
     wavelength_nm : ndarray, shape (N,), optional
@@ -127,6 +158,9 @@ class BRDFSamples:
         One line a processing step.
     metadata : mapping
         Anything else worth keeping, JSON-serialisable.
+    quantity : {"BRDF", "BTDF"}
+        What the values are; the incident directions of a BTDF are mirrored in the plane of the
+        sample.
     """
 
     directions: Directions
@@ -144,6 +178,7 @@ class BRDFSamples:
     cells: Cells | None = None
     history: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    quantity: Quantity = "BRDF"
 
     def __post_init__(self) -> None:
         n = len(self)
@@ -310,14 +345,16 @@ def _to_dataset(samples: BRDFSamples) -> Any:
             variables[f"shared_{k}_group"] = ("sample", term.group)
         if term.profile is not None:
             variables[f"shared_{k}_profile"] = ("sample", term.profile)
+        if term.offset is not None:
+            variables[f"shared_{k}_offset"] = ("sample", term.offset, {"units": "sr-1"})
         if term.shift is not None:
             variables[f"shared_{k}_shift"] = (("sample", "xyz"), term.shift, {"units": "rad"})
     return xr.Dataset(
         variables,
         attrs={
             "schema": SCHEMA,
-            "quantity": QUANTITY,
-            "convention": CONVENTION,
+            "quantity": QUANTITIES[samples.quantity],
+            "convention": CONVENTION + (MIRRORED if samples.quantity == "BTDF" else ""),
             "reference_sharing": samples.reference_sharing,
             "shared": json.dumps(terms),
             "history": json.dumps(samples.history),
@@ -358,10 +395,14 @@ def _from_dataset(dataset: Any) -> BRDFSamples:
             column(f"shared_{k}_shift"),
             float(item["blur"]),
             column(f"shared_{k}_profile"),
+            column(f"shared_{k}_offset"),
         )
         for k, item in enumerate(json.loads(dataset.attrs["shared"]))
     )
     columns = {name: column(name) for name in _PER_SAMPLE if name != "channel"}
+    quantity = {text: kind for kind, text in QUANTITIES.items()}.get(dataset.attrs["quantity"])
+    if quantity is None:
+        raise ValueError(f"the quantity is {dataset.attrs['quantity']!r}")
     return BRDFSamples(
         directions=Directions(*(column(name) for name in _ANGLES)),
         value=column("value"),
@@ -371,5 +412,6 @@ def _from_dataset(dataset: Any) -> BRDFSamples:
         cells=cells,
         history=tuple(json.loads(dataset.attrs["history"])),
         metadata=json.loads(dataset.attrs["metadata"]),
+        quantity=quantity,
         **columns,
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gonio.calibration.exposure import Rate, average, merge
+from gonio.calibration.exposure import Rate, average, merge, response_tables
 from gonio.metadata import Camera
 
 TIMES = (0.25e-3, 1e-3, 4e-3, 16e-3, 64e-3, 256e-3)
@@ -34,6 +34,19 @@ def frames(rate, seed: int, shape=(300, 300), times=TIMES) -> np.ndarray:
         electrons = np.minimum(rng.poisson(np.broadcast_to(rate, shape) * t), 10_700)
         counts = BLACK + GAIN * electrons + NOISE * rng.standard_normal(shape)
         out.append(np.clip(np.rint(counts), 0, 4095))
+    return np.array(out).astype(np.uint16)
+
+
+def curved_frames(rate: float, seed: int, cam: Camera, shape=(300, 300), times=TIMES) -> np.ndarray:
+    """Counts of a camera with a response: electrons, power law, then read noise and rounding."""
+    rng = np.random.default_rng(seed)
+    well, top = cam.full_well_e, cam.saturation_dn
+    out = []
+    for t in times:
+        electrons = np.minimum(rng.poisson(rate * t, shape), well)
+        counts = cam.gain_dn_per_e * well * (electrons / well) ** cam.gamma + cam.black_dn
+        counts += cam.noise_dn * rng.standard_normal(shape)
+        out.append(np.clip(np.rint(counts), 0, top))
     return np.array(out).astype(np.uint16)
 
 
@@ -174,3 +187,70 @@ def test_a_pixel_saturated_in_one_take_is_flagged_in_the_mean():
     both = average([good, bad])
     assert both.saturated.tolist() == [[False, True]]
     np.testing.assert_allclose(both.value, 5)
+
+
+TWELVE_BITS = {"gain_dn_per_e": 0.38, "full_well_e": 10_600.0}
+EIGHT_BITS = {
+    "gain_dn_per_e": 0.006175,
+    "black_dn": 8.0,
+    "saturation_dn": 255,
+    "full_well_e": 40_000.0,
+    "noise_dn": 0.4,
+}
+
+
+@pytest.mark.parametrize("gamma", [0.45, 0.9, 1.2])
+@pytest.mark.parametrize("figures", [TWELVE_BITS, EIGHT_BITS], ids=["12 bit", "8 bit"])
+@pytest.mark.parametrize("share", [0.01, 0.08, 0.3, 0.7, 0.95])
+def test_a_curved_response_is_made_linear_with_the_stated_variance(gamma, figures, share):
+    cam = camera(**figures, gamma=gamma)
+    times = (1e-3, 4e-3)
+    rate = share * cam.full_well_e / times[1]
+    merged = merge(curved_frames(rate, 31, cam, times=times), times, cam)
+    assert not merged.saturated.any()
+    mean, error = mean_and_error(merged.value)
+    sd = np.sqrt(merged.variance(np.full(merged.value.shape, rate)).mean())
+    signal_dn = cam.gain_dn_per_e * cam.full_well_e * (share / 4) ** gamma
+    if signal_dn < 5 * np.sqrt(cam.noise_dn**2 + 1 / 12):
+        # A count or two above black: the inverse bends more than its second order says.
+        assert abs(mean - rate) < 0.15 * sd
+        return
+    assert abs(mean - rate) < 3 * error + 1e-3 * sd
+    z2 = (merged.value - rate) ** 2 / merged.variance(np.full(merged.value.shape, rate))
+    mean, error = mean_and_error(z2)
+    # The slope of the inverse is taken at each count and not at its mean.
+    assert abs(mean - 1) < 3 * error + 0.01
+
+
+def test_a_response_that_is_not_made_linear_is_a_bias():
+    cam = camera(**TWELVE_BITS, gamma=0.9)
+    rate = 0.08 * cam.full_well_e / 4e-3
+    bracket = curved_frames(rate, 31, cam, times=(4e-3,))
+    taken_as_linear = merge(bracket, (4e-3,), cam.model_copy(update={"gamma": 1.0}))
+    # (0.08)^0.9 in place of 0.08
+    assert taken_as_linear.value.mean() / rate == pytest.approx(0.08**-0.1, rel=1e-3)
+
+
+def test_the_tables_of_a_straight_response_are_the_gain():
+    cam = camera()
+    electrons, variance = response_tables(cam)
+    counts = np.arange(65536)
+    np.testing.assert_allclose(electrons, (counts - BLACK) / GAIN, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(variance, (NOISE**2 + 1 / 12) / GAIN**2, rtol=1e-9)
+
+
+def test_a_curved_response_saturates_and_is_guarded_in_electrons():
+    cam = camera(**EIGHT_BITS, gamma=0.45)
+    times = (1e-3, 4e-3)
+    for share, expected in ((0.8, 5e-3), (1.0, 1e-3)):
+        rate = share * 0.9 * cam.full_well_e / 4e-3
+        merged = merge(curved_frames(rate, 33, cam, times=times), times, cam)
+        if share < 1:
+            # At 0.72 of the well by a frame of 0.18: every pixel uses both.
+            assert np.all(merged.time == expected)
+        assert set(np.unique(merged.time)) <= {1e-3, 5e-3}
+    full = merge(np.full((2, 5, 5), 255, np.uint16), times, cam)
+    assert full.saturated.all()
+    # Dark until the last exposure, then full: flagged, not used.
+    bracket = np.stack([np.full((5, 5), 8), np.full((5, 5), 255)]).astype(np.uint16)
+    assert merge(bracket, times, cam).saturated.all()

@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from gonio.calibration.lens import camera_angles
+from gonio.calibration.lens import (
+    camera_angles,
+    image_centre,
+    pixel_positions,
+    sensor_radius,
+    solid_angle_per_area,
+)
+from gonio.errors import ConfigurationError
 from gonio.instrument import Lens
-from gonio.metadata import LensCalibration
+from gonio.metadata import Camera, LensCalibration
 
 K = (-0.012, 0.004, -0.0015, 0.0002)
 LENSES = {
@@ -86,20 +93,71 @@ class TestSolidAngle:
         np.testing.assert_allclose(v, [1.0, 0.9375, 0.75], rtol=1e-15)
 
 
+def known(lens: Lens, **changes) -> LensCalibration:
+    """What a session states of a lens."""
+    return LensCalibration(
+        projection=lens.projection,
+        focal_length_mm=lens.focal_length_mm,
+        k=lens.k if lens.projection == "kannala_brandt" else (0.0, 0.0, 0.0, 0.0),
+        **changes,
+    )
+
+
 class TestAgainstCalibration:
-    """The reduction inverts the lens with code of its own."""
+    """The reduction has a lens of its own, both ways."""
 
     @each_lens
     def test_both_inverses_agree(self, lens):
-        known = LensCalibration(
-            projection=lens.projection,
-            focal_length_mm=lens.focal_length_mm,
-            k=lens.k if lens.projection == "kannala_brandt" else (0.0, 0.0, 0.0, 0.0),
-        )
         radius = np.linspace(0, 1.2 * float(lens.radius(np.pi / 2)), 997)
         phi = np.linspace(-3.1, 3.1, 997)
-        theta_c, phi_c = camera_angles(known, radius * np.cos(phi), radius * np.sin(phi))
+        theta_c, phi_c = camera_angles(known(lens), radius * np.cos(phi), radius * np.sin(phi))
         theta = lens.polar_angle(radius)
         np.testing.assert_array_equal(np.isnan(theta_c), np.isnan(theta))
         np.testing.assert_allclose(theta_c, theta, atol=1e-10)
         np.testing.assert_allclose(phi_c[1:], phi[1:], atol=1e-12)
+
+    @each_lens
+    def test_both_projections_and_solid_angles_agree(self, lens):
+        np.testing.assert_allclose(
+            sensor_radius(known(lens), THETA), lens.radius(THETA), rtol=1e-14
+        )
+        expected = lens.solid_angle(THETA[1:]) / lens.focal_length_mm**2
+        np.testing.assert_allclose(
+            solid_angle_per_area(known(lens), THETA[1:]), expected, rtol=1e-9
+        )
+        on_axis = 1 / lens.focal_length_mm**2
+        assert solid_angle_per_area(known(lens), 0.0) == pytest.approx(on_axis, rel=1e-15)
+
+    @each_lens
+    def test_one_point_is_as_good_as_many(self, lens):
+        theta_c, _ = camera_angles(known(lens), 1.0, 0.5)
+        many, _ = camera_angles(known(lens), [1.0, 0.2], [0.5, 0.0])
+        assert theta_c == many[0]
+
+    def test_a_polynomial_that_turns_back_is_refused(self):
+        lens = known(LENSES["kannala_brandt"]).model_copy(update={"k": (-0.3, 0.0, 0.0, 0.0)})
+        # 1 - 0.9 theta^2 = 0 at 1.054 rad = 60.4 deg.
+        message = (
+            r"k = -0\.3, 0, 0, 0: the lens polynomial stops growing at 60\.4 deg, inside the field "
+            r"of 180 deg; calibrate with points nearer to the rim, or give a smaller field_deg\."
+        )
+        with pytest.raises(ConfigurationError, match=message):
+            camera_angles(lens, 1.0, 0.0)
+        narrow = lens.model_copy(update={"field_deg": 110.0})
+        assert np.isfinite(camera_angles(narrow, 1.0, 0.0)[0])
+
+
+class TestImageCentre:
+    CAMERA = Camera(
+        rows=100, columns=121, pitch_mm=(0.01, 0.02), gain_dn_per_e=1, black_dn=0,
+        saturation_dn=255, full_well_e=255, noise_dn=1, dark_e_per_s=0,
+    )  # fmt: skip
+
+    def test_it_is_the_middle_of_the_frame_unless_calibrated(self):
+        lens = known(LENSES["equidistant"])
+        assert image_centre(self.CAMERA, lens) == image_centre(self.CAMERA) == (60.0, 49.5)
+        moved = known(LENSES["equidistant"], centre_px=(61.25, 48.0))
+        assert image_centre(self.CAMERA, moved) == (61.25, 48.0)
+        x, y = pixel_positions(self.CAMERA, [61.25, 62.25], [48.0, 50.0], moved)
+        np.testing.assert_allclose(x, [0, 0.01], atol=1e-15)
+        np.testing.assert_allclose(y, [0, 0.04], atol=1e-15)

@@ -87,6 +87,8 @@ def test_samples_hold_what_their_fields_promise(reduced):
     assert np.max(np.linalg.norm(mean - unit_vectors(d.theta_r, d.phi_r), axis=1)) < 0.03**2
     origin = dict(reduced.metadata)
     assert origin.pop("session").endswith("session")
+    unknown = ["geometry of the dome (geometry.uncertain)", "lens calibration (lens.uncertain)"]
+    assert (origin.pop("findings"), origin.pop("unknown")) == ([], unknown)
     assert origin == {"instrument": "ideal12", "sample": "lambert"}
 
 
@@ -107,12 +109,13 @@ def test_progress_counts_images(lambertian):
 
 
 def test_the_history_says_what_was_done(reduced):
-    first, standard, mapping, masked, cells = reduced.history
+    first, standard, mapping, masked, cells, *notes = reduced.history
     assert first == "ideal12: lambert, 3 images of 6 exposures merged"
     assert standard == "eq. (2) with a standard of 0.99"
     assert mapping == "eq. (3) with R = 150 mm, D = 15 mm (ellipsoid)"
     assert masked.startswith("masked: theta_r > 80 deg; saturated 0 pixels; ")
     assert cells.endswith(f" pixels in {len(reduced)} equal-area cells")
+    assert "uncertainty of the geometry and of the lens: unknown, not included" in notes
 
 
 def test_an_unfinished_session_is_refused(tmp_path, lambertian):
@@ -146,7 +149,7 @@ def test_a_session_without_a_usable_pixel_is_refused(tmp_path, rig, exposures):
     session = record(tmp_path / "s", rig, theta_i_deg=(0.0,), exposures_s=exposures)
     message = r"no pixel of the session is usable: every one is saturated, too dark or masked\."
     with pytest.raises(DataError, match=message):
-        gonio.reduce(session)
+        gonio.reduce(session, force=True)
 
 
 def test_a_rim_inside_the_first_pixel_is_refused(tmp_path):
@@ -171,7 +174,8 @@ def test_shared_terms_follow_the_metadata(tmp_path):
     turned = {"theta_i_deg": (0.0, 45.0), "rotations_deg": (0.0, 90.0), "repeats": 4}
     samples = gonio.reduce(record(tmp_path / "s", rig, exposures_s=(4e-3, 16e-3), **turned))
     terms = {term.name: term for term in samples.shared}
-    assert set(terms) == {"mapping", "standard", "lamp, sample", "lamp, standard"}
+    lamp = {"lamp, sample", "lamp, standard", "lamp, background"}
+    assert set(terms) == {"mapping", "standard", *lamp}
     assert terms["standard"].relative == 0.005
     assert terms["standard"].group is None
     assert terms["lamp, sample"].relative == 0.003

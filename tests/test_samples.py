@@ -2,6 +2,7 @@
 
 import errno
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import xarray as xr
 
 from gonio.errors import DataError
 from gonio.geometry import Directions, unit_vectors
-from gonio.samples import FLAG_PARTIAL, BRDFSamples, Cells, SharedTerm
+from gonio.samples import FLAG_ENTRY, FLAG_PARTIAL, BRDFSamples, Cells, SharedTerm
 
 N = 6
 PLAIN_FIELDS = (
@@ -46,9 +47,10 @@ def full_samples() -> BRDFSamples:
             SharedTerm("tilt", "tilt of the sample", shift=rng.normal(0, 1e-3, (N, 3))),
             SharedTerm("shape", "shape of the standard", 0.1, profile=rng.uniform(0, 1, N)),
             SharedTerm("cone", "cone of the lamp", blur=0.004),
+            SharedTerm("drift", "stray light", 0.01, offset=rng.normal(0, 1e-4, N)),
         ),
         solid_angle=rng.uniform(0.001, 0.01, N),
-        flags=np.array([0, FLAG_PARTIAL, 0, 0, 1, 0], np.uint8),
+        flags=np.array([0, FLAG_PARTIAL, 0, FLAG_ENTRY, 3, 0], np.uint8),
         image=np.array([0, 0, 0, 1, 1, 1]),
         wavelength_nm=np.full(N, 550.0),
         channel=np.array(["red", "green", "blue"] * 2),
@@ -75,6 +77,7 @@ def assert_same(a: BRDFSamples, b: BRDFSamples) -> None:
             assert x.dtype.kind == y.dtype.kind, name
             np.testing.assert_array_equal(x, y)
     assert a.reference_sharing == b.reference_sharing
+    assert a.quantity == b.quantity
     assert a.history == b.history
     assert a.metadata == b.metadata
     assert (a.cells is None) == (b.cells is None)
@@ -84,7 +87,8 @@ def assert_same(a: BRDFSamples, b: BRDFSamples) -> None:
     assert len(a.shared) == len(b.shared)
     for s, t in zip(a.shared, b.shared, strict=True):
         assert (s.name, s.meaning, s.relative, s.blur) == (t.name, t.meaning, t.relative, t.blur)
-        for x, y in ((s.group, t.group), (s.shift, t.shift), (s.profile, t.profile)):
+        for name in ("group", "shift", "profile", "offset"):
+            x, y = getattr(s, name), getattr(t, name)
             assert (x is None) == (y is None)
             if x is not None:
                 np.testing.assert_array_equal(x, y)
@@ -109,6 +113,15 @@ class TestRoundTrip:
             assert "counter-clockwise" in dataset.attrs["convention"]
             assert dataset["value"].attrs["units"] == "sr-1"
             assert dataset["theta_i"].attrs["units"] == "rad"
+
+    def test_transmission_states_its_quantity_and_where_its_light_comes_from(self, tmp_path):
+        samples = replace(full_samples(), quantity="BTDF")
+        samples.save(tmp_path / "samples.nc")
+        assert_same(samples, BRDFSamples.load(tmp_path / "samples.nc"))
+        with xr.open_dataset(tmp_path / "samples.nc", engine="h5netcdf") as dataset:
+            assert dataset.attrs["quantity"] == "BTDF in sr^-1, cosine not included"
+            convention = dataset.attrs["convention"]
+            assert "the incident direction, below the surface, is mirrored" in convention
 
     def test_a_second_save_replaces_the_first(self, tmp_path):
         path = tmp_path / "samples.nc"
@@ -140,6 +153,15 @@ class TestBadFiles:
         )
         match = r"the schema is 'gonio.samples/9', not 'gonio.samples/1'; this is not a samples"
         with pytest.raises(DataError, match=match):
+            BRDFSamples.load(path)
+
+    def test_another_quantity(self, tmp_path):
+        path = tmp_path / "other.nc"
+        minimal().save(path)
+        with xr.open_dataset(path, engine="h5netcdf") as dataset:
+            other = dataset.load().assign_attrs(quantity="BRDF, cosine included")
+        other.to_netcdf(path, engine="h5netcdf")
+        with pytest.raises(DataError, match="the quantity is 'BRDF, cosine included'"):
             BRDFSamples.load(path)
 
     def test_a_file_without_a_needed_column(self, tmp_path):
@@ -194,6 +216,24 @@ class TestWriting:
         assert_same(minimal(), BRDFSamples.load(path))
 
 
+class TestSharedTerm:
+    def test_changes_a_value_by_a_fraction_and_an_offset(self):
+        value, half = np.array([1.0, 2.0]), np.array([1.0, 0.5])
+        plain = SharedTerm("a", "b", 0.1)
+        assert plain.change(value).tolist() == [0.1, 0.2]
+        assert SharedTerm("a", "b", 0.1, profile=half).change(value).tolist() == [0.1, 0.1]
+        both = SharedTerm("a", "b", 0.1, profile=half, offset=np.array([0.0, 3.0]))
+        assert both.change(value).tolist() == [0.1, 3.1]
+        assert SharedTerm("a", "b", offset=np.array([0.5, 3.0])).change(value).tolist() == [0.5, 3]
+        assert not both.moves_directions
+
+    def test_of_directions_changes_no_value_of_itself(self):
+        value = np.ones(2)
+        for term in (SharedTerm("a", "b", shift=np.ones((2, 3))), SharedTerm("a", "b", blur=0.1)):
+            assert term.moves_directions
+            assert term.change(value).tolist() == [0, 0]
+
+
 class TestSelect:
     def test_a_mask_takes_cells_and_shared_terms_along(self):
         samples = full_samples()
@@ -207,6 +247,7 @@ class TestSelect:
         np.testing.assert_array_equal(part.channel, samples.channel[keep])
         np.testing.assert_array_equal(part.shared[1].group, samples.shared[1].group[keep])
         np.testing.assert_array_equal(part.shared[2].shift, samples.shared[2].shift[keep])
+        np.testing.assert_array_equal(part.shared[5].offset, samples.shared[5].offset[keep])
 
     @pytest.mark.parametrize("index", [[5, 0, 2], [1], []])
     def test_cells_follow_in_the_order_asked_for(self, index):

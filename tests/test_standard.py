@@ -1,189 +1,182 @@
-"""Eq. (2): what cancels between sample and standard, what does not, and the variance of f."""
+"""Eq. (2): the standard by direction, masks, and the variance of f."""
 
 import numpy as np
 import pytest
+from virtual import Drawn, images, small
 
-from gonio import models
-from gonio.calibration.exposure import Rate
-from gonio.calibration.standard import brdf, reference, standard_brdf, variances
-from gonio.instrument import Instrument, imaging, preset
-from gonio.metadata import Certificate
-
-WARD = models.get("ward")
-METAL = WARD.vector({"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.1, "alpha_y": 0.2})
-DARK = 32.0
-
-
-def small(**parts) -> Instrument:
-    """ideal12 with 52 x 52 pixels and a few changed figures of its parts."""
-    rig = preset("ideal12")
-    coarse = {"rows": 104, "columns": 104, "pitch_um": (55.2, 55.2), "binning": 2}
-    parts = {"sensor": {}} | parts
-    parts["sensor"] = coarse | parts["sensor"]
-    changed = {name: getattr(rig, name).model_copy(update=new) for name, new in parts.items()}
-    return rig.model_copy(update=changed)
-
-
-class Scene:
-    """Noise-free images of one incidence: sample, background, standard, and the true f."""
-
-    def __init__(self, rig: Instrument, theta_i_deg: float, standard_scale: float = 1.0) -> None:
-        theta_i = np.radians(theta_i_deg)
-        rays = imaging.trace_rays(rig, 0)
-        lit = imaging.lit_weights(rig, rays, theta_i)
-        w_i = rig.lamp.directions(theta_i, rays.source)
-        self.shape = rig.sensor.shape
-        self.pixel = rays.pixel
-        self.white = imaging.white_rate(rig, rays)
-        theta_r = np.arccos(rays.w_r[..., 2])
-        self.f = imaging.mean_brdf(WARD, METAL, w_i, rays.w_r, lit)
-        f_std = standard_scale * np.sum(lit * rig.standard.brdf(theta_r), axis=1)
-        irradiance = self.white * np.cos(theta_i) * np.pi
-        self.background = imaging.stray_rate(rig, rays, theta_i)
-        self.sample = irradiance * self.f + self.background
-        self.standard = irradiance * f_std + self.background
-        self.theta_r = np.full(self.shape, np.nan)
-        self.theta_r.ravel()[self.pixel] = theta_r.mean(axis=1)
-        self.certificate = Certificate(
-            reflectance=rig.standard.reflectance,
-            uncertainty=0.0,
-            rolloff=rig.standard.rolloff if rig.standard.rolloff_certified else 0.0,
-        )
-        # The full kernel around the patch is masked, and what the lens cannot see.
-        self.far = (theta_r.max(axis=1) < np.radians(80)) & (
-            self.background < 2 * rig.surroundings.stray * self.white + 1e-9
-        )
-
-    def image(self, values: np.ndarray, factor=1.0, offset=0.0) -> Rate:
-        full = np.zeros(self.shape)
-        full.ravel()[self.pixel] = values
-        full = full * factor + offset
-        return Rate(full, np.ones(self.shape), np.zeros(self.shape), np.zeros(self.shape, bool))
-
-    def ratio(self, factor=1.0, offset=0.0, *, sample=None, standard=None) -> np.ndarray:
-        """f by eq. (2) over the true f, of the pixels away from rim and entry patch."""
-        sample = self.sample if sample is None else sample
-        standard = self.standard if standard is None else standard
-        ref = reference(
-            self.image(self.background, factor, offset),
-            self.image(standard, factor, offset),
-            self.certificate,
-            self.theta_r,
-            dark_e_per_s=float(np.mean(offset)),
-        )
-        f = brdf(self.image(sample, factor, offset), ref)
-        use = self.far & ref.usable.ravel()[self.pixel]
-        assert use.sum() > 0.8 * self.far.sum()
-        self.use = use
-        return f.ravel()[self.pixel][use] / self.f[use]
-
-
-def smooth_map(rig: Instrument) -> np.ndarray:
-    """A coating that varies over the dome by 30 %."""
-    rows, columns = rig.sensor.shape
-    y, x = np.mgrid[0:rows, 0:columns] / rows
-    return 0.85 + 0.15 * np.sin(5 * x) * np.cos(3 * y)
-
-
-RIG = small()
-RNG = np.random.default_rng(6)
-CANCELS = {
-    "as it is": (small(), {}),
-    "quantum efficiency": (small(lamp={"white_rate_e_per_s": 2.3e5}), {}),
-    "lens vignetting": (small(lens={"vignetting": 0.6}), {}),
-    "reflectance of the dome": (small(dome={"reflectance": 0.2}), {}),
-    "reflectance of the dome by position": (small(), {"factor": smooth_map(RIG)}),
-    "area of the pixels": (small(), {"factor": np.linspace(0.8, 1.2, RIG.sensor.shape[1])}),
-    "PRNU": (small(), {"factor": 1 + 0.05 * RNG.standard_normal(RIG.sensor.shape)}),
-    "gain": (small(), {"factor": 1.7}),
-    "lamp stray independent of the sample": (small(surroundings={"stray": 0.03}), {}),
-    "no stray": (small(surroundings={"stray": 0.0, "entry_patch": 0.0}), {}),
-    "black level and dark current": (small(), {"offset": DARK}),
-    "dark current by pixel": (small(), {"offset": RNG.uniform(0, 60, RIG.sensor.shape)}),
-    "lit diameter": (small(lamp={"lit_diameter_mm": 10.0}), {}),
-}
-
-
-@pytest.mark.parametrize("theta_i_deg", [0.0, 60.0])
-@pytest.mark.parametrize("name", CANCELS)
-def test_what_multiplies_or_adds_to_all_images_cancels(name, theta_i_deg):
-    rig, how = CANCELS[name]
-    # Nothing but rounding is left; 1e-6 is the least that any use could ask for.
-    np.testing.assert_allclose(Scene(rig, theta_i_deg).ratio(**how), 1, rtol=1e-6)
-
-
-def test_footprint_and_cosine_cancel_only_at_the_same_incidence():
-    scene, at_normal = Scene(RIG, 60.0), Scene(RIG, 0.0)
-    np.testing.assert_allclose(scene.ratio(), 1, rtol=1e-6)
-    # A standard taken at normal incidence leaves cos(60 deg): half of f.
-    other = at_normal.standard - at_normal.background + scene.background
-    np.testing.assert_allclose(scene.ratio(standard=other), 0.5, rtol=1e-6)
-
-
-def test_a_certified_rolloff_cancels_and_one_that_is_not_stated_is_the_bias():
-    for certified in (True, False):
-        rig = small(standard={"rolloff": 0.1, "rolloff_certified": certified})
-        scene = Scene(rig, 30.0)
-        excess = scene.ratio() - 1
-        theta_r = scene.theta_r.ravel()[scene.pixel][scene.use]
-        fall = 0.1 * (theta_r / np.radians(75)) ** 4
-        if certified:
-            # The standard is averaged over a pixel of width w, the certificate taken at its mean
-            # direction: t^4 differs by its Laplacian 16 t^2 times w^2/24. Eq. (3) stretches
-            # pixels by up to 20 % for D/R = 0.1.
-            w = 2 * 55.2e-3 / 1.8
-            curved = 0.1 * 16 * theta_r**2 * w**2 / 24 / np.radians(75) ** 4 / (1 - fall)
-            assert np.all(np.abs(excess) < 1.2**2 * curved + 1e-6)
-        else:
-            predicted = 1 / (1 - fall) - 1
-            seen = predicted > 0.01
-            np.testing.assert_allclose(excess[seen], predicted[seen], rtol=0.05)
-            assert excess.max() > 0.1
-
-
-def test_light_that_goes_round_twice_makes_a_dark_sample_too_dark():
-    scene, g = Scene(RIG, 30.0), 0.03
-    rho = imaging.albedo(WARD, METAL, np.array([0.5, 0.0, np.sqrt(0.75)]))
-    rho_std = RIG.standard.reflectance
-    B = scene.background
-    sample = (scene.sample - B) * (1 + g * rho) + B
-    standard = (scene.standard - B) * (1 + g * rho_std) + B
-    excess = scene.ratio(sample=sample, standard=standard) - 1
-    predicted = (1 + g * rho) / (1 + g * rho_std) - 1
-    assert predicted < -0.015
-    np.testing.assert_allclose(excess, predicted, rtol=0.05)
-
-
-def test_lamp_drift_between_sample_and_standard_scales_f():
-    scene = Scene(RIG, 30.0)
-    excess = scene.ratio(sample=1.006 * scene.sample, standard=0.997 * scene.standard) - 1
-    # The stray light drifts too, which moves f by 1e-3 of the drift.
-    np.testing.assert_allclose(excess, 1.006 / 0.997 - 1, rtol=0.05)
-
-
-def test_ambient_light_reflected_by_the_sample_stays():
-    scene, a = Scene(RIG, 30.0), 0.02
-    cos_i = np.cos(np.radians(30))
-    rho, rho_std = 0.3, RIG.standard.reflectance  # albedos for light from everywhere
-    excess = (
-        scene.ratio(
-            sample=scene.sample + a * rho * scene.white,
-            standard=scene.standard + a * rho_std * scene.white,
-        )
-        - 1
-    )
-    predicted = a * (rho / (np.pi * scene.f[scene.use]) - 1) / (cos_i + a)
-    seen = np.abs(predicted) > 0.005
-    np.testing.assert_allclose(excess[seen], predicted[seen], rtol=0.05)
-    assert seen.sum() > 100
+import gonio
+from gonio.calibration.exposure import Rate, merge
+from gonio.calibration.standard import (
+    brdf,
+    describe,
+    irradiance_ratio,
+    reference,
+    standard_brdf,
+    variances,
+)
+from gonio.errors import ConfigurationError
+from gonio.instrument import preset
+from gonio.instrument.records import metadata
+from gonio.metadata import Certificate, Metadata, Plan, StandardTable
 
 
 def test_standard_brdf_is_the_factor_of_eq_2():
     lambertian = Certificate(reflectance=0.98, uncertainty=0.01)
-    assert standard_brdf(lambertian, np.array(1.2)) == pytest.approx(0.98 / np.pi, rel=1e-15)
+    assert standard_brdf(lambertian, 0.4, 1.2, 0.0) == pytest.approx(0.98 / np.pi, rel=1e-15)
     rolling = Certificate(reflectance=0.98, uncertainty=0.01, rolloff=0.1)
-    at_75 = standard_brdf(rolling, np.array(np.radians(75)))
+    at_75 = standard_brdf(rolling, 0.4, np.radians(75), 0.0)
     assert at_75 == pytest.approx(0.9 * 0.98 / np.pi, rel=1e-14)
+
+
+def test_the_standard_by_direction_is_linear_between_the_nodes_of_its_table():
+    theta_i, theta_r, dphi = (0.0, 30.0, 60.0), (0.0, 40.0, 80.0), (0.0, 90.0, 180.0)
+
+    def trilinear(i, r, p):
+        return 1 + 0.001 * i - 0.002 * r + 1e-4 * p + 1e-5 * i * r - 1e-6 * i * p + 2e-8 * i * r * p
+
+    table = StandardTable(
+        theta_i_deg=theta_i,
+        theta_r_deg=theta_r,
+        dphi_deg=dphi,
+        factor=tuple(tuple(tuple(trilinear(i, r, p) for p in dphi) for r in theta_r)
+                     for i in theta_i),
+    )  # fmt: skip
+    known = Certificate(reflectance=0.9, uncertainty=0.01, table=table)
+    rng = np.random.default_rng(1)
+    r, p = rng.uniform(0, 80, 50), rng.uniform(0, 180, 50)
+    for i in (0.0, 12.0, 30.0, 59.0):
+        found = standard_brdf(known, np.radians(i), np.radians(r), np.radians(p))
+        np.testing.assert_allclose(found, 0.9 / np.pi * trilinear(i, r, p), rtol=1e-12)
+        # Both sides of the plane of incidence are alike, whole turns do not count.
+        for other in (-p, 360 - p, p + 720):
+            again = standard_brdf(known, np.radians(i), np.radians(r), np.radians(other))
+            np.testing.assert_allclose(again, found, rtol=1e-9)
+    # Outside the grid the nearest value holds.
+    beyond = standard_brdf(known, np.radians(75), np.radians(89), np.radians(180))
+    assert beyond == pytest.approx(0.9 / np.pi * trilinear(60, 80, 180), rel=1e-12)
+
+
+def test_a_table_of_one_incidence_or_azimuth_holds_for_all():
+    one = StandardTable(theta_i_deg=(45.0,), theta_r_deg=(0.0, 80.0), factor=(((1.0,), (0.8,)),))
+    known = Certificate(reflectance=1.0, uncertainty=0.0, table=one)
+    theta_r = np.array([0.0, 0.5, np.nan])
+    for theta_i, dphi in ((0.0, 0.0), (1.2, 2.0)):
+        found = standard_brdf(known, theta_i, theta_r, dphi)
+        fall = 1 - 0.2 * np.degrees(theta_r) / 80
+        np.testing.assert_allclose(found, fall / np.pi, rtol=1e-12)
+
+
+def known(mode="reflection", standard_theta_i_deg=None, transmittance=None, **more) -> Metadata:
+    once = Plan(
+        theta_i_deg=(0.0, 60.0), rotations_deg=(0.0,), exposures_s=(0.01,), mode=mode,
+        standard_theta_i_deg=standard_theta_i_deg, **more,
+    )  # fmt: skip
+    found = metadata(preset("ideal12"), once, "sheet", "")
+    limits = found.limits.model_copy(update={"transmittance": transmittance})
+    return found.model_copy(update={"limits": limits})
+
+
+def test_the_irradiance_of_another_incidence_is_computed_by_its_cosine():
+    assert irradiance_ratio(known(), 1.0) == 1
+    at_20 = np.cos(np.radians(20)) / np.cos(1.0)
+    assert irradiance_ratio(known(standard_theta_i_deg=20), 1.0) == pytest.approx(at_20)
+    through = known("transmission", 20.0, transmittance=0.45)
+    assert irradiance_ratio(through, 1.0) == pytest.approx(0.45 * at_20)
+
+
+def test_transmission_without_the_dome_s_transmittance_is_refused():
+    message = r"transmission needs T_d.*Measure it with a detector at the sample's place, with and"
+    with pytest.raises(ConfigurationError, match=message):
+        irradiance_ratio(known("transmission", 20.0), 0.5)
+
+
+def test_a_grazing_lamp_is_refused_where_its_irradiance_is_computed():
+    with pytest.raises(ConfigurationError, match=r"theta_i = 90 deg: the lamp grazes the sample"):
+        irradiance_ratio(known(standard_theta_i_deg=20), np.pi / 2)
+
+
+def test_the_history_says_what_is_taken_for_known_of_the_standard():
+    assert describe(known()) == "eq. (2) with a standard of 0.99"
+    assert describe(known(standard_theta_i_deg=10)) == (
+        "eq. (2) with a standard of 0.99, taken at 10 deg: irradiance by cos(10 deg)/cos(theta_i), "
+        "lamp spot and dome taken as alike; relative uncertainty: unknown, not included"
+    )
+    through = known("transmission", 10.0, transmittance=0.45, u_irradiance=0.02)
+    assert describe(through) == (
+        "eq. (2) with a standard of 0.99, taken in reflection at 10 deg: irradiance by T_d cos(10 "
+        "deg)/cos(theta_i) with T_d = 0.45, lamp spot and dome taken as alike; relative "
+        "uncertainty: 0.02"
+    )
+
+
+class TestOneStandardForAll:
+    """A standard that was taken at one incidence only, and transmission: from frames to samples."""
+
+    THETAS = (10.0, 40.0, 60.0)
+
+    def drawn(self, seed=0, dome=None, u=None, **more) -> Drawn:
+        once = Plan(
+            theta_i_deg=self.THETAS, rotations_deg=(0.0, 90.0), exposures_s=(1e-3, 16e-3),
+            u_irradiance=u, **more,
+        )  # fmt: skip
+        return Drawn(images(small(n=52, dome=dome or {}), once, rho=0.3), seed)
+
+    @pytest.mark.parametrize("mode", ["reflection", "transmission"])
+    def test_f_and_its_noise_are_right(self, mode):
+        z = []
+        for seed in range(6):
+            session = self.drawn(seed, mode=mode, standard_theta_i_deg=20.0)
+            samples = gonio.reduce(session)
+            z.append((samples.value - 0.3 / np.pi) / samples.u_independent)
+            assert samples.metadata["findings"] == []
+        # A standard of one image is shared by all six: its noise does not average over them.
+        z = np.concatenate(z)
+        assert np.mean(z**2) == pytest.approx(1, abs=4 * np.sqrt(6 * 2 / len(z)))
+        assert samples.reference_sharing == 6
+        assert samples.quantity == ("BTDF" if mode == "transmission" else "BRDF")
+        assert (
+            "irradiance at another incidence than the standard's (plan.u_irradiance)"
+            in (samples.metadata["unknown"])
+        )
+
+    def test_a_lobe_of_transmission_is_fitted_by_a_model_of_reflection(self):
+        lobe = {"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.25, "alpha_y": 0.15}
+        once = Plan(
+            theta_i_deg=self.THETAS, rotations_deg=(0.0, 90.0), exposures_s=(1e-3, 16e-3),
+            mode="transmission", standard_theta_i_deg=20.0,
+        )  # fmt: skip
+        samples = gonio.reduce(Drawn(images(small(), once, "ward", **lobe)))
+        # Light that goes straight on leaves opposite the mirrored lamp.
+        brightest = np.argmax(np.where(samples.image == 2, samples.value, 0))
+        w_i, w_r = samples.directions.vectors()
+        assert w_i[brightest] * [-1, -1, 1] @ w_r[brightest] > np.cos(np.radians(8))
+        fit = gonio.fit(samples, model="ward").parameters
+        for name, value in lobe.items():
+            assert abs(fit[name].value - value) < 4 * fit[name].stderr
+
+    def test_its_price_is_shared_by_the_samples(self):
+        def terms(**how):
+            session = self.drawn(standard_theta_i_deg=20.0, u=0.04, **how)
+            samples = gonio.reduce(session)
+            return samples, {term.name: term for term in samples.shared}
+
+        samples, found = terms()
+        halves = [found[name] for name in ("irradiance", "irradiance, incidence")]
+        assert [term.relative for term in halves] == [pytest.approx(0.04 / np.sqrt(2))] * 2
+        assert halves[0].group is None
+        np.testing.assert_array_equal(halves[1].group, samples.image // 2)
+        _, found = terms(mode="transmission")
+        assert found["irradiance"].relative == 0.04
+        assert "irradiance, incidence" not in found
+
+    def test_an_uneven_dome_is_inside_the_price(self):
+        uneven = {"transmittance_variation": 0.03}
+        session = self.drawn(dome=uneven, standard_theta_i_deg=20.0, u=np.sqrt(2) * 0.03)
+        samples = gonio.reduce(session)
+        off = samples.value / (0.3 / np.pi) - 1
+        means = [off[samples.image // 2 == i].mean() for i in range(3)]
+        assert max(map(abs, means)) > 1e-3
+        assert max(map(abs, means)) < 3 * np.sqrt(2) * 0.03
 
 
 def flat(value: float, time: float, rng: np.random.Generator | None = None, n: int = 300) -> Rate:
@@ -196,7 +189,7 @@ def flat(value: float, time: float, rng: np.random.Generator | None = None, n: i
     return Rate(electrons / time, full, np.full(shape, 25 / time**2), np.zeros(shape, bool))
 
 
-WHITE = Certificate(reflectance=0.99, uncertainty=0.0)
+WHITE = np.full((300, 300), 0.99 / np.pi)
 
 
 @pytest.mark.parametrize("sample", [1e3, 3e4, 1e5, 1.5e6])
@@ -204,8 +197,7 @@ def test_the_variance_of_f_is_the_scatter_of_many_trials(sample):
     S, B, times = 1e5, 5e3, (0.2, 0.05, 0.1)  # e-/s; s of sample, background, standard
     rng = np.random.default_rng(8)
     M_, B_, S_ = (flat(v, t, rng) for v, t in zip((sample + B, B, S), times, strict=True))
-    zero = np.zeros((300, 300))
-    ref = reference(B_, S_, WHITE, zero, dark_e_per_s=B)
+    ref = reference(B_, S_, WHITE, dark_e_per_s=B)
     assert ref.usable.all()
     f = brdf(M_, ref)
     own, shared = variances(M_, ref, np.full(f.shape, sample / (S - B) * 0.99 / np.pi))
@@ -231,7 +223,7 @@ def test_the_variance_of_f_is_the_scatter_of_many_trials(sample):
 
 def test_a_shared_background_cancels_where_the_sample_is_as_bright_as_the_standard():
     B, S = flat(1e4, 0.1), flat(1e5, 1e9)
-    ref = reference(B, S, WHITE, np.zeros((300, 300)), dark_e_per_s=1e4)
+    ref = reference(B, S, WHITE, dark_e_per_s=1e4)
     f_std = 0.99 / np.pi
     _, equal = variances(S, ref, np.full((300, 300), f_std))
     _, dim = variances(S, ref, np.full((300, 300), 0.1 * f_std))
@@ -239,34 +231,57 @@ def test_a_shared_background_cancels_where_the_sample_is_as_bright_as_the_standa
 
 
 def test_the_entry_patch_is_masked():
-    scene = Scene(RIG, 30.0)
-    patch = scene.background > 2 * RIG.surroundings.stray * scene.white
-    assert patch.any()
-    ref = reference(
-        scene.image(scene.background),
-        scene.image(scene.standard),
-        scene.certificate,
-        scene.theta_r,
-        dark_e_per_s=0.0,
-    )
-    usable = ref.usable.ravel()[scene.pixel]
-    assert not usable[patch].any()
-    assert np.all(ref.f_per_rate[~ref.usable] == 0)
-    assert not ref.usable[~np.isfinite(scene.theta_r)].any()
+    rig = small(n=52)
+    once = Plan(theta_i_deg=(30.0,), rotations_deg=(0.0,), exposures_s=(1e-3, 8e-3))
+    session = Drawn(images(rig, once, rho=0.5))
+    camera = session.metadata.camera
+    B, S = (merge(session.bracket(role, 0, 0), once.exposures_s, camera)
+            for role in ("background", "standard"))  # fmt: skip
+    ref = reference(B, S, np.full(S.value.shape, 0.99 / np.pi), dark_e_per_s=camera.dark_e_per_s)
+    # Three white surfaces at normal incidence, and one in 1000 of it elsewhere.
+    patch = B.value > 0.5 * np.median(S.value[ref.usable])
+    assert 4 < patch.sum() < 30
+    assert not ref.usable[patch].any()
+    # It is told from what cannot be used at all.
+    assert ref.entry[patch].all()
+    assert not np.any(ref.entry & ref.usable)
+    nowhere = reference(B, S, np.full(S.value.shape, np.nan), dark_e_per_s=0.0)
+    assert not (nowhere.usable | nowhere.entry).any()
+    assert np.all(nowhere.f_per_rate == 0)
 
 
-def test_dark_current_is_not_an_entry_patch():
+def test_dead_and_hot_pixels_are_masked_and_told_apart():
+    rng = np.random.default_rng(3)
+    B, S = flat(1e3, 1.0, rng), flat(1e5, 1.0, rng)
+    S.value[10, 10] = B.value[10, 10] + 100  # sees nothing
+    S.value[20:22, 20] = 1.5e4  # two side by side see a seventh
+    S.value[25, 25] = 3e4  # a third of the light: it cancels
+    B.value[30, 30] += 1e4  # a dark current of a tenth of the light
+    S.value[30, 30] += 1e4
+    B.value[40, 40] += 500  # half a per cent: its noise is counted and it may stay
+    S.value[40, 40] += 500
+    S.value[60:, :] = B.value[60:, :] + 1e4  # the edge of the lit spot is no dead pixel
+    ref = reference(B, S, WHITE, dark_e_per_s=0)
+    assert [tuple(p) for p in np.argwhere(ref.dead)] == [(10, 10), (20, 20), (21, 20)]
+    assert [tuple(p) for p in np.argwhere(ref.hot)] == [(30, 30)]
+    assert not ref.usable[ref.dead | ref.hot].any()
+    assert ref.usable[25, 25]
+    assert ref.usable[40, 40]
+    assert ref.usable[57:63].all()
+
+
+def test_neither_dark_current_nor_even_room_light_is_an_entry_patch():
     B, S = flat(5e4, 0.1), flat(1e5, 0.1)
-    zero = np.zeros((300, 300))
-    assert reference(B, S, WHITE, zero, dark_e_per_s=5e4).usable.all()
-    assert not reference(B, S, WHITE, zero, dark_e_per_s=0.0).usable.any()
+    for dark in (5e4, 0.0):
+        ref = reference(B, S, WHITE, dark_e_per_s=dark)
+        assert ref.usable.all()
+        assert not ref.entry.any()
 
 
 def test_a_standard_too_dark_for_a_ratio_is_masked():
-    zero = np.zeros((300, 300))
     # Signal to noise of 15 and of 40 with a background of 0 and a read noise of 5 electrons.
     for electrons, usable in ((250, False), (1700, True)):
-        ref = reference(flat(0, 1.0), flat(electrons, 1.0), WHITE, zero, dark_e_per_s=0)
+        ref = reference(flat(0, 1.0), flat(electrons, 1.0), WHITE, dark_e_per_s=0)
         assert ref.usable.all() == usable
         assert ref.usable.any() == usable
 
@@ -277,7 +292,7 @@ def test_saturated_pixels_of_standard_or_background_are_masked():
     hot[7, 9] = True
     for b, s in ((Rate(B.value, B.time, B.read_variance, hot), S),
                  (B, Rate(S.value, S.time, S.read_variance, hot))):  # fmt: skip
-        ref = reference(b, s, WHITE, np.zeros((300, 300)), dark_e_per_s=0)
+        ref = reference(b, s, WHITE, dark_e_per_s=0)
         np.testing.assert_array_equal(~ref.usable, hot)
 
 
@@ -286,7 +301,7 @@ def test_choosing_bright_pixels_does_not_choose_their_noise():
     signal = (25**2 + np.sqrt(25.0**4 + 4 * 25**2 * 2 * 25)) / 2
     standard = flat(signal, 1.0, np.random.default_rng(9))
     background = flat(0.0, 1.0, np.random.default_rng(10))
-    ref = reference(background, standard, WHITE, np.zeros((300, 300)), dark_e_per_s=0)
+    ref = reference(background, standard, WHITE, dark_e_per_s=0)
     chosen = (standard.value - background.value)[ref.usable]
     assert 0.2 < ref.usable.mean() < 0.8
     # Neighbours decide together: the error comes from blocks of 30 x 30 pixels.

@@ -22,16 +22,22 @@ from gonio.errors import GonioError, SessionInterruptedError, unknown_name
 # In the order of the work. The help of the group comes from here and imports no command.
 _COMMANDS = {
     "simulate": "Record the raw frames of a surface on a virtual instrument.",
+    "import": "Make a session of a camera's files.",
     "reduce": "Turn raw frames into BRDF samples with uncertainties.",
     "fit": "Fit a reflectance model to BRDF samples.",
     "plot": "Draw BRDF samples or a fit.",
     "evaluate": "Evaluate a model at the directions of a file.",
+    "budget": "List where the uncertainty of the samples comes from.",
     "check": "Check a model or a file: reciprocity, energy, which quantity.",
+    "calibrate": "Calibrate a rig from photographs and frames taken for it.",
+    "boards": "Photograph a calibration board virtually, or print it.",
     "materials": "List the papers' materials, or show one.",
     "models": "List the reflectance models, or show one.",
     "instruments": "List the virtual instruments, or show one.",
     "doctor": "Check this installation.",
 }
+# Where the command's file cannot have its name, a word of Python.
+_FILES = {"import": "import_session"}
 
 
 class _Commands(click.RichGroup):
@@ -54,7 +60,8 @@ class _Commands(click.RichGroup):
             return super().resolve_command(ctx, args)
         if name not in _COMMANDS:
             raise click.UsageError(str(unknown_name("command", name, _COMMANDS)), ctx)
-        command: click.Command = importlib.import_module(f"gonio.cli.{name}").command
+        file = _FILES.get(name, name)
+        command: click.Command = importlib.import_module(f"gonio.cli.{file}").command
         return name, command, rest
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import rich_click as click
 
@@ -24,17 +24,50 @@ if TYPE_CHECKING:
     help="File of BRDF samples to write, netCDF.",
 )
 @click.option(
+    "--mapping",
+    type=click.Choice(["eq3", "exact"]),
+    default="eq3",
+    show_default=True,
+    help="How pixels become directions: by Ward's eq. (3), or by the law of reflection.",
+)
+@click.option(
+    "--geometry",
+    metavar="GEOMETRY.toml",
+    type=click.Path(path_type=Path),
+    help="File of 'gonio calibrate alignment', in place of the geometry that the session states.",
+)
+@click.option(
+    "--retro",
+    is_flag=True,
+    help="Keep what is seen through the patch where the lamp's beam enters the dome, flagged.",
+)
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Go on where frames are found to be wrong; the history says what is.",
+)
+@click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
     help="Threads to use; the samples do not depend on it.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-def command(session: Path, output: Path, threads: int | None, as_json: bool) -> None:
+def command(
+    session: Path,
+    output: Path,
+    mapping: Literal["eq3", "exact"],
+    geometry: Path | None,
+    retro: bool,
+    force: bool,
+    threads: int | None,
+    as_json: bool,
+) -> None:
     """Turn the raw frames of SESSION into BRDF samples with uncertainties.
 
     The exposures are merged, referred to the white standard, placed by the geometry of the dome
-    and averaged in cells. The file is written whole or not at all.
+    and averaged in cells, over which a fit integrates, with the lamp's cone. The file is written
+    whole or not at all.
     """
     from gonio.calibration.reduction import reduce
     from gonio.cli.options import check_target
@@ -49,7 +82,15 @@ def command(session: Path, output: Path, threads: int | None, as_json: bool) -> 
     opened = Session.open(session)
     opened.require_complete()
     with progress(f"reducing {session.name or session}", "images") as callback:
-        samples = reduce(opened, threads=threads, progress=callback)
+        samples = reduce(
+            opened,
+            mapping=mapping,
+            geometry=geometry,
+            retro=retro,
+            force=force,
+            threads=threads,
+            progress=callback,
+        )
     samples.save(output)
     _tell(samples, output, as_json)
 
@@ -67,6 +108,7 @@ def _tell(samples: BRDFSamples, output: Path, as_json: bool) -> None:
                 "instrument": samples.metadata["instrument"],
                 "n_samples": len(samples),
                 "n_negative": negative,
+                "findings": samples.metadata["findings"],
                 "history": list(samples.history),
             }
         )

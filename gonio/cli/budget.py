@@ -1,0 +1,191 @@
+"""`gonio budget`: where the uncertainty of the samples comes from."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from gonio.samples import BRDFSamples
+
+_NAMES = ("theta_i", "phi_i", "theta_r", "phi_r")
+
+
+@click.command(name="budget")
+@click.argument("source", metavar="SESSION|SAMPLES", type=click.Path(path_type=Path))
+@click.option(
+    "--at",
+    metavar="THETA_I,PHI_I,THETA_R,PHI_R",
+    help="Of the sample nearest to these directions, degrees, in place of all.",
+)
+@click.option(
+    "--select",
+    "selections",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Samples of a file to take, such as wavelength=650 or channel=red.",
+)
+@click.option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads to use.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+def command(
+    source: Path, at: str | None, selections: tuple[str, ...], threads: int | None, as_json: bool
+) -> None:
+    """List where the uncertainty of BRDF samples comes from.
+
+    Every source with its standard uncertainty in per cent of f: the median over the samples, and
+    the 5th and 95th percentile. Errors that turn the viewing direction count by the slope of f
+    over neighbouring samples. What nobody stated is listed as unknown and not counted.
+    """
+    from gonio.calibration.budget import budget
+    from gonio.cli.options import echo_json
+
+    place = None if at is None else _directions(at)
+    found = budget(_read(source, selections, threads))
+    report = found.describe(None if place is None else found.nearest(*place))
+    if as_json:
+        echo_json({**report, "source": str(source)})
+    else:
+        _show(report, source)
+
+
+def _directions(text: str) -> tuple[float, float, float, float]:
+    """Four angles in radians.
+
+    Examples
+    --------
+    >>> [round(a, 4) for a in _directions("30, 0, 45, 180")]
+    [0.5236, 0.0, 0.7854, 3.1416]
+    """
+    try:
+        theta_i, phi_i, theta_r, phi_r = (math.radians(float(part)) for part in text.split(","))
+    except ValueError:
+        raise ConfigurationError(
+            f"--at {text!r} is not four angles; write theta_i,phi_i,theta_r,phi_r in degrees, for "
+            "instance 30,0,45,180.",
+            value=text,
+        ) from None
+    return theta_i, phi_i, theta_r, phi_r
+
+
+def _read(source: Path, selections: tuple[str, ...], threads: int | None) -> BRDFSamples:
+    from gonio import formats
+
+    select = {}
+    for item in selections:
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not (equals and key and value):
+            raise ConfigurationError(
+                f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
+            )
+        select[key] = value
+    if not source.is_dir():
+        return formats.read(source, select=select)
+    from gonio.calibration.reduction import reduce
+    from gonio.cli.progress import progress
+    from gonio.session import Session
+
+    session = Session.open(source)
+    session.require_complete()
+    with progress(f"reducing {source.name or source}", "images") as callback:
+        samples = reduce(session, threads=threads, progress=callback)
+    return formats.choose(samples, select) if select else samples
+
+
+def _show(report: dict[str, Any], source: Path) -> None:
+    at = report["at"]
+    _say(f"{source}: {_what(report)}")
+    columns = ("u/f, %", "", "") if at else ("median", "5 %", "95 %")
+    click.echo()
+    if not at:
+        click.echo(f"{'':<45}u/f in % over the samples")
+    click.echo(_line("source", "type", "shared by", "acts", columns, "share"))
+    for row in report["sources"]:
+        share = row["share_of_variance"]
+        click.echo(
+            _line(
+                row["name"],
+                row["kind"],
+                row["shared_by"],
+                "both" if row["acts"] == "factor and offset" else row["acts"],
+                _figures(row["relative"], at),
+                "?" if share is None else f"{share:.1%}",
+            )
+        )
+    click.echo()
+    click.echo(_line("combined", "", "", "", _figures(report["combined"], at), ""))
+    k = report["coverage_factor"]
+    click.echo(_line(f"expanded, k = {k:g}", "", "", "", _figures(report["expanded"], at), ""))
+    click.echo()
+    for line in _remarks(report):
+        _say(line)
+
+
+def _line(name: str, kind: str, shared: str, acts: str, columns: Any, share: str) -> str:
+    numbers = "".join(f"{text:>9}" for text in columns)
+    return f"{name:<22}{kind:<5}{shared:<10} {acts:<7}{numbers}{share:>8}".rstrip()
+
+
+def _what(report: dict[str, Any]) -> str:
+    kind, n, at = report["quantity"], report["n_samples"], report["at"]
+    if at:
+        where = ", ".join(f"{name} {at[name] + 0.0:.4g}" for name in _NAMES)
+        return f"{kind} {at['value']:.4g} sr^-1 at {where} deg"
+    left = report["n_left_out"]
+    rest = f", {left} of them 0 within their noise and left out" if left else ""
+    return f"{kind}, {n} samples{rest}"
+
+
+def _figures(summary: dict[str, float] | None, at: Any) -> tuple[str, ...]:
+    if summary is None:
+        return ("?", "", "") if at else ("?", "?", "?")
+    if at:
+        return (_percent(summary["median"]), "", "")
+    return tuple(_percent(summary[key]) for key in ("median", "p5", "p95"))
+
+
+def _percent(x: float) -> str:
+    """Three digits or so, without the sign.
+
+    Examples
+    --------
+    >>> [_percent(x) for x in (0.0, 1.2e-7, 0.00123, 0.0512, 1.7)]
+    ['0', '<0.001', '0.123', '5.12', '170']
+    """
+    if 0 < x < 1e-5:
+        return "<0.001"
+    return f"{100 * x:.3g}"
+
+
+def _remarks(report: dict[str, Any]) -> list[str]:
+    lines = [
+        "u: standard uncertainty of f by one source; share: its part of the variance"
+        + ("." if report["at"] else ", mean of the samples."),
+        "Type A: from counts, or from a fit to calibration frames. Type B: stated by certificate "
+        "or operator, without degrees of freedom, which are taken as infinite; those of counts "
+        "are many.",
+        "A factor multiplies f and an offset adds to it; what turns the viewing direction counts "
+        "by the slope of f over neighbouring samples.",
+    ]
+    through = [row["name"] for row in report["sources"] if row["relative"] is None]
+    if through:
+        lines.append(
+            f"Not counted here: {', '.join(through)}. A blur acts through the curvature of the "
+            "lobe; 'gonio fit' counts it."
+        )
+    for source in report["unknown"]:
+        lines.append(f"UNKNOWN, not counted: {source}.")
+    return lines
+
+
+def _say(text: str) -> None:
+    click.echo(
+        textwrap.fill(
+            text, 80, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
+        )
+    )

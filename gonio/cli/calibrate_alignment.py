@@ -1,0 +1,173 @@
+"""`gonio calibrate alignment`: frames of a mirror -> where dome and camera stand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from gonio.calibration.alignment import Alignment
+    from gonio.calibration.mirror_task import Length
+    from gonio.calibration.spots import Spot
+    from gonio.session import Session
+
+
+@click.command(name="alignment")
+@click.argument(
+    "sessions", metavar="SESSION...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="GEOMETRY.toml",
+    type=click.Path(path_type=Path),
+    help="File to write, for 'gonio reduce --geometry'.",
+)
+@click.option("--R-mm", "r_mm", type=float, metavar="MM", help="The dome's R, if it was measured.")
+@click.option(
+    "--u-R-mm", "u_r_mm", type=float, metavar="MM", help="Standard uncertainty of --R-mm."
+)
+@click.option(
+    "--separation-mm",
+    type=float,
+    metavar="MM",
+    help="Distance from the camera's pupil to the target, 2 D, if it was measured.",
+)
+@click.option(
+    "--u-separation-mm",
+    type=float,
+    metavar="MM",
+    help="Standard uncertainty of --separation-mm.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+def command(
+    sessions: tuple[Path, ...],
+    output: Path,
+    r_mm: float | None,
+    u_r_mm: float | None,
+    separation_mm: float | None,
+    u_separation_mm: float | None,
+    as_json: bool,
+) -> None:
+    """Fit R, D, pupil, image centre and azimuth of the camera to the spots of a mirror.
+
+    SESSION holds frames of a mirror in place of the sample ('gonio simulate --mirror'). Directions
+    do not change when all lengths grow alike: give one that was measured, or lengths stay multiples
+    of R. Which figures the spots determine is said, the others are left as they were: lamp on both
+    sides and a wedge of 10 deg or more, turned to three azimuths, determine all.
+    """
+    from gonio.calibration import geometry_file
+    from gonio.calibration.alignment import fit
+    from gonio.calibration.mapping import PixelMap
+    from gonio.calibration.spots import find_spots
+    from gonio.cli.options import check_target
+    from gonio.session import Session
+
+    if output.suffix != ".toml":
+        raise ConfigurationError(
+            f"{output}: a geometry is written as TOML; give a name that ends in .toml.",
+            value=output,
+        )
+    check_target(output)
+    R, separation = (
+        _length("R", r_mm, u_r_mm),
+        _length("separation", separation_mm, u_separation_mm),
+    )
+    opened = [Session.open(path) for path in sessions]
+    _check_alike(opened)
+    metadata = opened[0].metadata
+    seen = PixelMap.of(metadata, "exact")
+    spots: list[Spot] = []
+    lost: dict[str, str] = {}
+    for session in opened:
+        found, missing = find_spots(session, seen)
+        where = f"{session.path.name}: " if len(opened) > 1 else ""
+        spots += found
+        lost |= {where + name: why for name, why in missing.items()}
+    alignment = fit(spots, seen, limits=metadata.limits, R=R, separation=separation)
+    geometry_file.write(output, alignment, instrument=metadata.instrument, lost=lost)
+    _tell(alignment, lost, output, as_json)
+
+
+def _length(name: str, value: float | None, u: float | None) -> Length | None:
+    from gonio.calibration.mirror_task import Length
+
+    if value is None and u is None:
+        return None
+    if value is None or u is None:
+        given, other = (f"--u-{name}-mm", f"--{name}-mm")[:: 1 if value is None else -1]
+        raise ConfigurationError(
+            f"{given} needs {other}: a known length is a value with its standard uncertainty."
+        )
+    return Length(value, u)
+
+
+def _check_alike(sessions: list[Session]) -> None:
+    """Refuse sessions of different instruments."""
+    first = sessions[0].metadata
+    for session in sessions[1:]:
+        other = session.metadata
+        same = (other.instrument, other.camera, other.lens, other.geometry) == (
+            first.instrument, first.camera, first.lens, first.geometry,
+        )  # fmt: skip
+        if not same:
+            raise ConfigurationError(
+                f"{session.path}: of another instrument, camera or lens than {sessions[0].path}; "
+                "give the sessions of one.",
+                value=session.path,
+            )
+
+
+def _tell(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bool) -> None:
+    from gonio.calibration.alignment import UNITS
+    from gonio.cli.options import echo_json
+
+    units = {name: UNITS.get(name, "mm") for name in alignment.values}
+    not_used = lost | dict(alignment.dropped)
+    if as_json:
+        echo_json(
+            {
+                "schema": "gonio.calibrate.alignment/1",
+                "geometry": str(output),
+                "figures": {
+                    name: {"value": value, "stderr": alignment.sd[name], "unit": units[name]}
+                    for name, value in alignment.values.items()
+                },
+                "not_determined": {k: list(v) for k, v in alignment.held_for.items()},
+                "spots": len(alignment.names),
+                "not_used": not_used,
+                "rms_px": alignment.rms_px,
+                "chi2": alignment.chi2,
+                "dof": alignment.dof,
+                "scale": alignment.scale,
+                "lens_uncertainty_known": alignment.seen.lens.uncertain is not None,
+            }
+        )
+        return
+    width = max(map(len, alignment.values))
+    for name, value in alignment.values.items():
+        sd = alignment.sd[name]
+        known = _undetermined(name, alignment) if sd is None else f"+- {sd:.2g} {units[name]}"
+        click.echo(f"{name:<{width}}  {value:12.5f}  {known}")
+    click.echo(
+        f"{len(alignment.names)} spots, residuals of {alignment.rms_px:.3g} px rms; chi2 "
+        f"{alignment.chi2:.3g} with {alignment.dof} degrees of freedom"
+        + (f", uncertainties widened {alignment.scale:.2g} times." if alignment.scale > 1 else ".")
+    )
+    if alignment.seen.lens.uncertain is None:
+        click.echo("The lens is taken as exact: the uncertainty of its calibration is unknown.")
+    for name, why in not_used.items():
+        click.echo(f"not used: {name}: {why}.")
+    click.echo(f"{output}: geometry of {alignment.seen.geometry.shape} and camera.")
+
+
+def _undetermined(name: str, alignment: Alignment) -> str:
+    if name == "R":
+        return "mm, not determined: no length is known; the others are in proportion to it"
+    others = " and ".join(alignment.held_for.get(name, ())) or "the others"
+    return f"held, not determined: the spots do not tell it from {others}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.calibration import multibounce
 from gonio.geometry import angles
 from gonio.metadata import Metadata, Plan
 from gonio.samples import SharedTerm
@@ -29,17 +30,12 @@ def light_terms(
     parts : list of Part
         The images' cells, in the order of the samples.
     image, incidence : ndarray of int64, shape (N,)
-        Image and incidence of every sample.
+        Image and incidence of every sample, channel by channel counted on.
     """
     terms = _standard_terms(metadata, parts)
     terms += _irradiance_terms(metadata.plan, incidence)
     terms += _lamp_terms(metadata, parts, image, incidence)
-    if metadata.limits.multibounce:
-        # f comes out (1 + g albedo)/(1 + g albedo of the standard) times too large. It is not
-        # corrected: g is an estimate without an uncertainty, and the albedo wants the hemisphere
-        # beyond the rim and lobes that saturate. For any albedo the error is at most this.
-        share = metadata.limits.multibounce * metadata.standard.reflectance
-        terms.append(SharedTerm("multi-bounce", "light that reaches the sample twice", share))
+    terms += multibounce.terms(metadata, parts)
     return terms + _ambient_terms(metadata, parts)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.calibration import cells, faults, standard
+from gonio.calibration import cells, faults, multibounce, standard
 from gonio.calibration.evidence import Evidence, Finding
 from gonio.calibration.exposure import Rate, average, merge
 from gonio.calibration.light_terms import unknown_light
@@ -20,7 +20,7 @@ from gonio.calibration.shared_terms import notes, shared_terms, unknown
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import Directions, FloatArray, angles, equal_area, rotated
 from gonio.kernels.threads import default_threads
-from gonio.metadata import Metadata
+from gonio.metadata import Metadata, Plan
 from gonio.samples import FLAG_ENTRY, FLAG_PARTIAL, BRDFSamples, Cells
 from gonio.session import Session
 
@@ -88,22 +88,24 @@ def reduce(
     metadata, seen, held = _located(session.metadata, mapping, geometry)
     table = _pixel_table(metadata, seen)
     plan = metadata.plan
-    incidences = range(len(plan.theta_i_deg))
-    n_images = len(incidences) * len(plan.rotations_deg)
-    evidence = Evidence(metadata, table.theta_r, table.phi_r)
+    channels, incidences = range(len(plan.channels)), range(len(plan.theta_i_deg))
+    n_images = len(channels) * len(incidences) * len(plan.rotations_deg)
+    evidence = [Evidence(metadata, table.theta_r, table.phi_r) for _ in channels]
+    tasks = [(channel, incidence) for channel in channels for incidence in incidences]
     parts: list[Part] = []
     with ThreadPoolExecutor(threads or default_threads()) as pool:
         work = pool.map(
-            lambda i: list(_reduce_incidence(session, table, evidence, i, retro)), incidences
+            lambda task: list(_reduce_incidence(session, table, evidence[task[0]], *task, retro)),
+            tasks,
         )
         for done in work:
             parts.extend(done)
             if progress is not None:
                 progress(sum(not part.entry for part in parts), n_images)
-    found = faults.findings(evidence)
+    found = _findings(plan, evidence)
     if not force:
         _stop_at_errors(session, found)
-    samples = _collect(metadata, seen, parts)
+    samples = _collect(metadata, seen, multibounce.corrected(metadata, parts))
     if held:
         line = f"geometry: {', '.join(held)} not determined by the alignment, as stated before"
         samples = replace(samples, history=(*samples.history, line))
@@ -116,6 +118,17 @@ def reduce(
             "findings": [asdict(finding) for finding in found],
         },
     )
+
+
+def _findings(plan: Plan, evidence: list[Evidence]) -> tuple[Finding, ...]:
+    """What is wrong with the frames, channel by channel, errors first."""
+    found = []
+    for channel, seen in zip(plan.channels, evidence, strict=True):
+        own = faults.findings(seen)
+        if len(evidence) > 1:
+            own = tuple(replace(f, text=f"channel {channel.name}: {f.text}") for f in own)
+        found += own
+    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
 
 
 def _stop_at_errors(session: Session, found: tuple[Finding, ...]) -> None:
@@ -176,6 +189,10 @@ class Part:
     n_saturated: int
     n_reference: int
     entry: bool  # cells of the lamp's entry patch
+    channel: int
+    left: float = 0.0  # relative error that the correction of multi-bounce leaves
+    channel: int
+    left: float = 0.0  # relative error that the correction of multi-bounce leaves
 
 
 def _pixel_table(metadata: Metadata, seen: PixelMap) -> _PixelTable:
@@ -213,14 +230,19 @@ def _pixel_table(metadata: Metadata, seen: PixelMap) -> _PixelTable:
 
 
 def _reduce_incidence(
-    session: Session, table: _PixelTable, evidence: Evidence, incidence: int, retro: bool
+    session: Session,
+    table: _PixelTable,
+    evidence: Evidence,
+    channel: int,
+    incidence: int,
+    retro: bool,
 ) -> Iterator[Part]:
-    """All rotations of one incidence, which share background and standard."""
+    """All rotations of one incidence in one channel, which share background and standard."""
     metadata = session.metadata
     plan, camera = metadata.plan, metadata.camera
 
     def taken(role: str, take: int, at: int) -> Rate:
-        bracket = session.bracket(role, take, at)
+        bracket = session.bracket(role, take, at, channel=channel)
         rate = merge(bracket, plan.exposures_s, camera)
         evidence.see(role, take, at, bracket, rate)
         return rate
@@ -245,7 +267,9 @@ def _reduce_incidence(
     for rotation in range(len(plan.rotations_deg)):
         measured = taken("sample", rotation, incidence)
         for entry in (False, True) if retro else (False,):
-            yield _reduce_image(metadata, table, ref, measured, incidence, rotation, entry=entry)
+            yield _reduce_image(
+                metadata, table, ref, measured, channel, incidence, rotation, entry=entry
+            )
 
 
 def _reduce_image(
@@ -253,6 +277,7 @@ def _reduce_image(
     table: _PixelTable,
     ref: standard.Reference,
     measured: Rate,
+    channel: int,
     incidence: int,
     rotation: int,
     *,
@@ -303,6 +328,7 @@ def _reduce_image(
         n_saturated=int(np.count_nonzero((wanted & measured.saturated).ravel()[at])),
         n_reference=0 if entry else int(np.count_nonzero(~ref.usable.ravel()[at])),
         entry=entry,
+        channel=channel,
     )
 
 
@@ -329,8 +355,17 @@ def _collect(metadata: Metadata, seen: PixelMap, parts: list[Part]) -> BRDFSampl
         )
     counts = [part.means.shape[1] for part in parts]
     rotations = len(metadata.plan.rotations_deg)
-    image = np.repeat([p.incidence * rotations + p.rotation for p in parts], counts)
-    incidence = np.repeat([part.incidence for part in parts], counts)
+    # Every channel has frames of its own, and so a lamp that drifts by itself.
+    steps = len(metadata.plan.theta_i_deg)
+    step = [part.channel * steps + part.incidence for part in parts]
+    image = np.repeat(
+        [k * rotations + part.rotation for k, part in zip(step, parts, strict=True)], counts
+    )
+    incidence = np.repeat(step, counts)
+    channels = metadata.plan.channels
+    names = np.repeat([channels[part.channel].name for part in parts], counts)
+    wavelengths = [channels[part.channel].wavelength_nm for part in parts]
+    known = [w for w in wavelengths if w is not None]
     theta_r, phi_r = angles(np.concatenate([part.centroid for part in parts]))
     value, own, shared, slope = np.concatenate([part.means for part in parts], axis=1)
     ends = np.cumsum([0] + [len(part.members.weight) for part in parts])
@@ -356,6 +391,10 @@ def _collect(metadata: Metadata, seen: PixelMap, parts: list[Part]) -> BRDFSampl
         solid_angle=np.concatenate([part.solid_angle for part in parts]),
         flags=(partial * FLAG_PARTIAL + entry * FLAG_ENTRY).astype(np.uint8),
         image=image,
+        channel=names if len(channels) > 1 or names[0] else None,
+        wavelength_nm=(
+            np.repeat(known, counts) if wavelengths and len(known) == len(wavelengths) else None
+        ),
         cells=Cells(
             np.concatenate([part.members.w_r for part in parts]),
             np.concatenate([part.members.weight for part in parts]),
@@ -379,7 +418,7 @@ def _history(metadata: Metadata, seen: PixelMap, parts: list[Part], n: int) -> t
         "entry patch or dark standard": sum(part.n_reference for part in parts) - retro,
     }
     used = sum(part.n_used for part in parts)
-    images = {(part.incidence, part.rotation) for part in parts}
+    images = {(part.channel, part.incidence, part.rotation) for part in parts}
     return (
         f"{metadata.instrument}: {metadata.sample}, {len(images)} images of "
         f"{len(metadata.plan.exposures_s)} exposures merged",
@@ -389,6 +428,7 @@ def _history(metadata: Metadata, seen: PixelMap, parts: list[Part], n: int) -> t
         + "; ".join(f"{k} {v} pixels" for k, v in masked.items()),
         f"{used} pixels in {n} equal-area cells",
         *([f"retro: {retro} of them in the lamp's entry patch, flagged"] if retro else []),
+        *multibounce.notes(metadata),
         *notes(metadata, seen),
         *(f"unknown, not included: {source}" for source in unknown_light(metadata)),
     )

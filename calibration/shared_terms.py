@@ -36,7 +36,7 @@ def shared_terms(
     parts : list of Part
         The images' cells, in the order of the samples.
     image, incidence : ndarray of int64, shape (N,)
-        Image and incidence of every sample.
+        Image and incidence of every sample, channel by channel counted on.
     """
     terms = _geometry_terms(seen, parts)
     terms += _source_terms(metadata.lamp)
@@ -150,7 +150,8 @@ def _slope_terms(
             shift = shift - np.sum(shift * lab, axis=1, keepdims=True) * lab
             kept.append(rotated(shift, part.psi))
     theta_i = np.radians(metadata.plan.theta_i_deg)
-    group = np.floor(theta_i / reach).astype(np.int64)[incidence]
+    # The dome is the same in every channel, whose incidences are counted on.
+    group = np.floor(theta_i / reach).astype(np.int64)[incidence % len(theta_i)]
     meanings = ("moves the lobe", "stretches the lobe in the plane of incidence", "and across it")
     names = ("dome slope, shift", "dome slope, in plane", "dome slope, across")
     return [

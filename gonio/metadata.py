@@ -200,6 +200,11 @@ class Limits(_Record):
     multibounce: float | None = Field(
         default=None, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
     )
+    u_multibounce: float | None = Field(
+        default=None,
+        ge=0,
+        description="standard uncertainty of g; where it is given the reduction corrects by g",
+    )
     transmittance: float | None = Field(
         default=None,
         gt=0,

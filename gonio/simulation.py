@@ -312,6 +312,7 @@ class Draws:
     pattern_seed: int  # the camera's fixed patterns
     dome_seed: int  # the dome's slope errors and coating
     noise_seed: int
+    multibounce_scale: float  # the true g over the stated one
 
     @classmethod
     def from_seed(cls, seed: int, rig: Instrument, plan: Plan) -> Draws:
@@ -326,7 +327,10 @@ class Draws:
             # A random walk: the images follow each other in time, a step of the arm apart.
             wander = np.cumsum(rig.lamp.slow_drift * rng.standard_normal(n))
             lamp *= np.exp(wander)[:, None]
-        return cls(float(standard), lamp, *(int(s) for s in seeds))
+        multibounce = 1.0
+        if rig.surroundings.multibounce_uncertainty:
+            multibounce += rig.surroundings.multibounce_uncertainty * rng.standard_normal()
+        return cls(float(standard), lamp, *(int(s) for s in seeds), max(multibounce, 0.0))
 
 
 def _write_truth(
@@ -351,6 +355,7 @@ def _write_truth(
         "material": surface.name,
         **recipe,
         "standard_scale": draws.standard_scale,
+        "multibounce_scale": draws.multibounce_scale,
         "lamp": draws.lamp.ravel().tolist(),  # channels of an image stand together
         "entry_transmittance": [{"theta_i_deg": a, "relative": t} for a, t in entry.items()],
     }
@@ -370,7 +375,9 @@ def _record(
     """Expose and write every frame that is not there yet, in the plan's order."""
     from gonio.instrument.images import Fixed, Images
 
-    fixed = Fixed(draws.dome_seed, draws.pattern_seed, draws.standard_scale)
+    fixed = Fixed(
+        draws.dome_seed, draws.pattern_seed, draws.standard_scale, draws.multibounce_scale
+    )
     images = Images(rig, surface, plan, fixed, threads=threads)
     truth = _truth_images(session, images) if truth_images else None
     writer = ThreadPoolExecutor(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
@@ -10,6 +11,8 @@ import rich_click as click
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from gonio.instrument import Instrument
     from gonio.instrument.part import Part
 
@@ -29,6 +32,19 @@ _UNITS = {
     "bits": "bit",
 }
 _LETTERS = {"R": "mm", "D": "mm"}
+_CAUSES = {
+    "pixel": "pixel",
+    "pupil": "pupil, focus and aberrations",
+    "psf": "point spread",
+    "source": "source cone",
+    "total": "all together",
+}
+_SEEN = {
+    "any": "some rays land on lit sample",
+    "whole": "99 % of the rays do",
+    "usable": "some, inside the rim mask",
+    "usable_whole": "99 %, inside the rim mask",
+}
 
 
 @click.command(name="instruments")
@@ -37,7 +53,21 @@ _LETTERS = {"R": "mm", "D": "mm"}
 @click.option(
     "--toml", "as_toml", is_flag=True, help="Print the file of the preset, to start your own from."
 )
-def command(name: str | None, as_json: bool, as_toml: bool) -> None:
+@click.option(
+    "--resolution",
+    is_flag=True,
+    help="Trace what the instrument resolves: smallest alpha, blur, directions seen.",
+)
+@click.option(
+    "--map",
+    "map_to",
+    metavar="OUT.png",
+    type=click.Path(path_type=Path),
+    help="With --resolution: picture of blur and coverage, .png, .pdf or .svg.",
+)
+def command(
+    name: str | None, as_json: bool, as_toml: bool, resolution: bool, map_to: Path | None
+) -> None:
     """List the virtual instruments, or show one with all of its parts.
 
     An instrument of your own is a TOML file: take that of a preset with --toml, change it, and
@@ -46,6 +76,14 @@ def command(name: str | None, as_json: bool, as_toml: bool) -> None:
     from gonio import instrument
     from gonio.cli.options import echo_json
 
+    if resolution or map_to is not None:
+        if name is None or as_toml or not resolution:
+            raise ConfigurationError(
+                "--resolution traces one instrument, with --map OUT.png if you like; give its name "
+                f"and no --toml. Known: {', '.join(instrument.preset_names())}, or a FILE.toml."
+            )
+        _resolution(instrument.load(name), as_json, map_to)
+        return
     if as_toml:
         _print_file(name, as_json)
         return
@@ -152,3 +190,106 @@ def _unit(key: str) -> str:
         return _LETTERS[key]
     ends = sorted((end for end in _UNITS if key.endswith(end)), key=len)
     return _UNITS[ends[-1]] if ends else ""
+
+
+def _resolution(rig: Instrument, as_json: bool, map_to: Path | None) -> None:
+    from gonio.cli.options import check_target, echo_json
+
+    if map_to is not None:
+        from gonio.plot.style import format_of
+
+        format_of(map_to)
+        check_target(map_to)
+    from gonio.instrument.resolution import report, resolve
+
+    found = resolve(rig)
+    document = report(found)
+    if as_json:
+        echo_json(document)
+    else:
+        _show_resolution(document)
+    if map_to is not None:
+        from gonio.plot import resolution_map, save
+
+        save(resolution_map(found), map_to)
+        click.echo(f"written to {map_to}", err=True)
+
+
+def _show_resolution(document: dict[str, Any]) -> None:
+    from gonio.cli.options import table_console
+
+    console = table_console()
+    console.print(
+        f"{document['instrument']}: smallest alpha that it resolves, where the blur widens a lobe "
+        f"by {100 * document['excess']:g} %"
+    )
+    console.print(_alpha_table(document["alpha"]))
+    console.print("Blur of the viewing direction over the usable hemisphere, sd on an axis, deg")
+    console.print(_blur_table(document["blur_deg"]))
+    console.print("theta_r up to which everything is seen, deg; a sector is 10 deg of azimuth")
+    console.print(_seen_table(document["theta_r"]))
+    for line in _resolution_notes(document):
+        console.print(line)
+
+
+def _alpha_table(rows: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
+    table = Table("theta_i", "axis", "blur sd", "smallest alpha", "widened still after a fit")
+    for row in rows:
+        for axis, heading in (("in_plane", "in the plane"), ("across", "across it")):
+            figures = row[axis]
+            cells = ["not seen", "unknown", "unknown"]
+            if figures is not None:
+                left = 100 * figures["excess_reduced"]
+                cells = [f"{figures['blur_deg']:.3f} deg", f"{figures['alpha']:.4f}"]
+                cells.append("< 0.01 %" if left < 0.01 else f"{left:.2f} %")
+            table.add_row(f"{row['theta_i_deg']:g} deg", heading, *cells)
+    return table
+
+
+def _blur_table(causes: dict[str, dict[str, float | None]]) -> Table:
+    from rich.table import Table
+
+    table = Table("cause", "median, larger axis", "median, smaller axis", "largest")
+    for key, figures in causes.items():
+        cells = ["unknown" if sd is None else f"{sd:.3f}" for sd in figures.values()]
+        table.add_row(_CAUSES[key], *cells)
+    return table
+
+
+def _seen_table(seen: dict[str, Any]) -> Table:
+    from rich.table import Table
+
+    table = Table("directions of which", "worst sector", "best sector", "of the hemisphere")
+    for key, meaning in _SEEN.items():
+        part = seen[key]
+        table.add_row(
+            meaning,
+            f"{part['min_deg']:.1f}",
+            f"{part['max_deg']:.1f}",
+            f"{100 * part['share_of_hemisphere']:.1f} %",
+        )
+    return table
+
+
+def _resolution_notes(document: dict[str, Any]) -> Iterator[str]:
+    seen, arm, pointing = (document[k] for k in ("theta_r", "theta_i", "pointing_sd_deg"))
+    yield (
+        f"The lens sees {seen['lens_field_deg']:g} deg; the reduction leaves out theta_r > "
+        f"{seen['rim_mask_deg']:g} deg. The arm reaches theta_i = {arm['arm_max_deg']:g} deg; "
+        + (
+            "the specular direction is not seen."
+            if arm["specular_seen_max_deg"] is None
+            else f"the specular direction is seen up to {arm['specular_seen_max_deg']:.1f} deg."
+        )
+    )
+    yield (
+        "Slope errors of the dome move directions and do not blur them: pointing error of sd "
+        f"{pointing['zenith']:.2f} deg on an axis at the zenith, {pointing['usable_rim']:.2f} deg "
+        "at the rim mask."
+    )
+    yield (
+        "A fit integrates the model over pixels and source cone; the last column of the first "
+        "table is what pupil and point spread do to the smallest alpha then."
+    )

@@ -168,7 +168,12 @@ def draw_poses(board: Board, camera: BoardCamera, n: int, rng: np.random.Generat
     its outer corners are in the field.
     """
     rings = _rings(n, rng)
-    return [_draw_pose(board, camera, ring, k * _GOLDEN, rng) for k, ring in enumerate(rings)]
+    # Turned by the golden angle from one to the next in its ring, few or many go all around.
+    steps = [rings[:k].count(ring) for k, ring in enumerate(rings)]
+    return [
+        _draw_pose(board, camera, ring, step * _GOLDEN, rng)
+        for ring, step in zip(rings, steps, strict=True)
+    ]
 
 
 def _rings(n: int, rng: np.random.Generator) -> list[tuple[float, float]]:

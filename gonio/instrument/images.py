@@ -46,11 +46,14 @@ class Fixed:
         Seeds of the dome's fields and of the camera's fixed patterns.
     standard_scale : float
         The standard's true reflectance over its certified one.
+    multibounce_scale : float
+        The true g of `imaging.multibounce_gain` over the stated one.
     """
 
     dome_seed: int
     pattern_seed: int
     standard_scale: float = 1.0
+    multibounce_scale: float = 1.0
 
 
 class Images:
@@ -126,7 +129,8 @@ class Images:
         rig, scale = self.instrument, self.fixed.standard_scale
         weights = imaging.lit_weights(rig, self.rays, theta_i)
         f = scale * np.einsum("ij,ij->i", weights, self._f_standard)
-        gain = imaging.multibounce_gain(rig, scale * rig.standard.reflectance)
+        rho = scale * rig.standard.reflectance
+        gain = imaging.multibounce_gain(rig, rho, self.fixed.multibounce_scale)
         return np.asarray(self.white * self._irradiance(theta_i) * np.pi * f * gain)
 
     def _sample(self, model: Model, theta_i: float, psi: float, *, below: bool) -> list[FloatArray]:
@@ -146,7 +150,7 @@ class Images:
             if rig.surroundings.multibounce and not below:
                 centre = w_i.mean(axis=0)
                 rho = imaging.albedo(model, p, centre / np.linalg.norm(centre))
-                gain = imaging.multibounce_gain(rig, rho)
+                gain = imaging.multibounce_gain(rig, rho, self.fixed.multibounce_scale)
             irradiance = self._irradiance(theta_i, below=below)
             made[p.tobytes()] = self.white * irradiance * np.pi * f * gain
         return [made[p.tobytes()] for p in self.surface.p]

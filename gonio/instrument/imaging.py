@@ -234,9 +234,12 @@ def white_rate(instrument: Instrument, rays: Rays) -> FloatArray:
     return sensor.n_summed * on_axis * rays.throughput
 
 
-def multibounce_gain(instrument: Instrument, rho: float) -> float:
-    """Growth of the irradiance by light that lens and dome throw back: 1 + g rho."""
-    return 1 + instrument.surroundings.multibounce * rho
+def multibounce_gain(instrument: Instrument, rho: float, scale: float = 1.0) -> float:
+    """Growth of the irradiance by light that lens and dome throw back: 1 + g rho.
+
+    `scale` is the true g over the one that the instrument's data sheet states.
+    """
+    return 1 + scale * instrument.surroundings.multibounce * rho
 
 
 def irradiance(instrument: Instrument, theta_i: float, seed: int, *, below: bool = False) -> float:

@@ -126,11 +126,13 @@ def _lamp(rig: Instrument, plan: Plan) -> LampRecord:
 
 
 def _limits(rig: Instrument) -> Limits:
+    share = rig.surroundings.multibounce_uncertainty
     return Limits(
         slope_error_deg=rig.dome.slope_error_deg,
         rim_slope_error_deg=rig.dome.rim_slope_error_deg,
         slope_correlation_deg=rig.dome.slope_correlation_deg,
         multibounce=rig.surroundings.multibounce,
+        u_multibounce=None if share is None else share * rig.surroundings.multibounce,
         transmittance=rig.dome.transmittance,
         ambient=rig.surroundings.ambient_reflected,
     )

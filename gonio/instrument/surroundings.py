@@ -35,3 +35,10 @@ class Surroundings(Part):
         description="g: the irradiance of the sample grows by 1 + g albedo, "
         "light thrown back by the lens front and the dome",
     )
+    multibounce_uncertainty: float | None = Field(
+        default=None,
+        ge=0,
+        lt=0.5,
+        description="relative standard uncertainty of g, the true one is drawn; not given, the "
+        "operator has no measure of it and the reduction does not correct",
+    )

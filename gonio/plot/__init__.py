@@ -7,6 +7,7 @@ puts them together. Nothing here changes matplotlib's settings for anyone else.
 - `slices`: the BRDF in the plane of incidence, measured and fitted (Ward 1992, Fig. 6);
 - `model_lobe`, `model_lobes`: a model in its plane of incidence, as a polar diagram;
 - `corner`: the posterior of a fit;
+- `resolution_map`: blur and coverage of an instrument over the hemisphere;
 - `summary`: all of these on one page, with the recovered parameters;
 - `save`: a figure as PNG, PDF or SVG, written whole or not at all.
 """
@@ -15,6 +16,7 @@ from gonio.plot.frames import frames
 from gonio.plot.lobe import slices
 from gonio.plot.model import model_lobe, model_lobes
 from gonio.plot.posterior import corner
+from gonio.plot.resolution import resolution_map
 from gonio.plot.style import save, style
 from gonio.plot.summary import summary
 
@@ -23,6 +25,7 @@ __all__ = [
     "frames",
     "model_lobe",
     "model_lobes",
+    "resolution_map",
     "save",
     "slices",
     "style",

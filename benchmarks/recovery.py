@@ -66,7 +66,7 @@ def recover(
                 "error_in_stderr": ""
                 if estimate.stderr is None
                 else f"{error / estimate.stderr:.2f}",
-                "error_but_standard_percent": f"{100 * (estimate.value * scale - truth) / truth:.4f}",
+                "error_but_standard_percent": f"{100 * (estimate.value * scale / truth - 1):.4f}",
                 "chi2_per_dof": f"{result.chi2 / result.dof:.4g}",
                 "at_bound": estimate.at_bound or "",
                 "status": result.status,

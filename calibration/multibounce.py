@@ -32,7 +32,7 @@ def is_corrected(metadata: Metadata) -> bool:
 
 
 def image_albedo(parts: Sequence[Part]) -> tuple[float, float]:
-    """Albedo for the incidence of one image, and its standard uncertainty.
+    """Albedo that one image shows for its incidence, and its standard uncertainty.
 
     The integral of f cos(theta_r) over the cells; what no cell sees, beyond the rim and in masked
     pixels, is given the median f of the image, and half of that as its uncertainty.
@@ -63,7 +63,10 @@ def corrected(metadata: Metadata, parts: list[Part]) -> list[Part]:
     known = {image: image_albedo(own) for image, own in images.items()}
     done = []
     for part in parts:
-        rho, u_rho = known[part.channel, part.incidence, part.rotation]
+        seen, u_rho = known[part.channel, part.incidence, part.rotation]
+        # seen = rho (1 + g rho)/(1 + g rho_std), of which rho is the positive root.
+        both = seen * (1 + g * rho_std)
+        rho = 2 * both / (1 + np.sqrt(1 + 4 * g * both))
         factor = (1 + g * rho_std) / (1 + g * rho)
         # f is linear in the counts: its variances scale with the square.
         means = part.means * np.array([factor, factor**2, factor**2, factor])[:, None]

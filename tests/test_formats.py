@@ -450,3 +450,11 @@ def test_every_format_says_what_it_is():
     for module in (cornell, gonio_csv, nist_ptfe):
         assert module.NAME in formats.names()
         assert module.TITLE
+
+
+def test_a_btdf_has_no_column_in_the_table(tmp_path):
+    directions = Directions([0.1, 0.1], 0.0, [0.2, 0.3], 0.0)
+    samples = BRDFSamples(directions, np.array([0.1, 0.2]), quantity="BTDF")
+    with pytest.raises(DataError, match="a BTDF and the table has a column for a BRDF; save them"):
+        gonio_csv.write(tmp_path / "sheet.csv", samples)
+    assert not list(tmp_path.iterdir())

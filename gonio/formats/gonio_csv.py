@@ -95,7 +95,7 @@ def write(path: str | Path, samples: BRDFSamples) -> None:
     Raises
     ------
     DataError
-        If the file cannot be written.
+        If the file cannot be written, or the samples are not a BRDF.
 
     Notes
     -----
@@ -104,6 +104,12 @@ def write(path: str | Path, samples: BRDFSamples) -> None:
     elsewhere they come back to the nearest. What `read` made always comes back unchanged.
     Shared terms, cells and history have no column here: `BRDFSamples.save` keeps them.
     """
+    if samples.quantity != "BRDF":
+        raise DataError(
+            f"{path}: the samples are a {samples.quantity} and the table has a column for a BRDF; "
+            "save them as netCDF (.nc), which says what they are.",
+            value=samples.quantity,
+        )
     columns: dict[str, Sequence[str]] = {"brdf": _printed(samples.value)}
     if samples.u_independent is not None:
         columns["u_brdf"] = _printed(samples.u_independent)

@@ -102,7 +102,7 @@ def command(
     ]
     samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
     _one_channel(source, samples)
-    known = _truth(source if truth is None else truth, model, asked=truth is not None)
+    known = _truth(source if truth is None else truth, model, samples, asked=truth is not None)
     draws = output.with_suffix(".draws.nc") if posterior and output is not None else None
     cuts = {
         "select": dict(_pairs(selections)),
@@ -195,7 +195,9 @@ def _one_channel(source: Path, samples: BRDFSamples) -> None:
             )
 
 
-def _truth(session: Path, model: Model, *, asked: bool) -> dict[str, float] | None:
+def _truth(
+    session: Path, model: Model, samples: BRDFSamples, *, asked: bool
+) -> dict[str, float] | None:
     """True parameters in file units, where the session is a simulated one of this model."""
     from gonio.session import read_truth
 
@@ -214,7 +216,36 @@ def _truth(session: Path, model: Model, *, asked: bool) -> dict[str, float] | No
             err=True,
         )
         return None
-    return {q.name: q.to_file(found["parameters"][q.name]) for q in model.parameters}
+    true = {q.name: found["parameters"][q.name] for q in model.parameters}
+    if any(isinstance(value, list) for value in true.values()):
+        k = _channel_index(session, samples)
+        true = {name: v[k] if isinstance(v, list) else v for name, v in true.items()}
+    return {q.name: q.to_file(true[q.name]) for q in model.parameters}
+
+
+def _channel_index(session: Path, samples: BRDFSamples) -> int:
+    """Which channel of a simulated session the samples are of, by name or else by wavelength."""
+    from gonio.session import Session
+
+    channels = Session.open(session).metadata.plan.channels
+    listed: list[Any] = [channel.name for channel in channels]
+    own: Any = None
+    of = "of no stated channel"
+    if samples.channel is not None:
+        own = str(samples.channel[0])
+        of = f"of channel {own}"
+    elif samples.wavelength_nm is not None:
+        listed = [channel.wavelength_nm for channel in channels]
+        own = float(samples.wavelength_nm[0])
+        of = f"of {own:g} nm"
+    if listed.count(own) == 1:
+        return listed.index(own)
+    names = ", ".join(channel.name for channel in channels)
+    raise ConfigurationError(
+        f"{session}: its true parameters differ between the channels {names}, and the samples are "
+        f"{of}; give samples of one of these channels, or a session of their own.",
+        value=own,
+    )
 
 
 def _tell(

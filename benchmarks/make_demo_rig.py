@@ -74,6 +74,7 @@ drift = {drift}
 slope_error_deg = {slope_error_deg}
 rim_slope_error_deg = {rim_slope_error_deg}
 multibounce = {multibounce}
+ambient = {ambient_reflected}                     # a frame with the lamp off shows nothing
 
 [plan]
 theta_i_deg = {theta_i_deg}

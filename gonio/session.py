@@ -98,7 +98,9 @@ class Session:
         """
         path = Path(path)
         if not path.exists():
-            raise DataError(f"{path}: no such session; give a folder that 'gonio simulate' wrote.")
+            raise DataError(
+                f"{path}: no such session; give a folder that 'gonio simulate' or 'gonio import' wrote."
+            )
         file = path / "session.json"
         if not file.is_file():
             raise DataError(f"{path}: not a session, session.json is missing.", value=path)
@@ -131,7 +133,7 @@ class Session:
         if not self.complete:
             raise DataError(
                 f"{self.path}: {self.n_done} of {self.metadata.plan.n_frames} frames are there; "
-                "run the same 'gonio simulate' command again to finish it.",
+                "run the same 'gonio simulate' or 'gonio import' command again to finish it.",
                 value=self.path,
             )
 

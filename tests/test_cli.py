@@ -106,7 +106,7 @@ def test_help_of_a_command(gonio, name):
     code, out, err = gonio(name, "--help")
     assert (code, err) == (0, "")
     assert f"Usage: gonio {name}" in out
-    command = importlib.import_module(f"gonio.cli.{name}").command
+    command = importlib.import_module(f"gonio.cli.{cli._FILES.get(name, name)}").command
     summary = command.help.strip().partition("\n")[0]
     assert summary in " ".join(out.split())
     # Every option says what it does.
@@ -123,7 +123,11 @@ def test_help_imports_no_command_and_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     loaded = set(done.stderr.split())
     assert "gonio.cli" in loaded
-    assert not loaded & {*HEAVY, "numpy", *(f"gonio.cli.{name}" for name in COMMANDS)}
+    assert not loaded & {
+        *HEAVY,
+        "numpy",
+        *(f"gonio.cli.{cli._FILES.get(name, name)}" for name in COMMANDS),
+    }
 
 
 def test_version(gonio):
@@ -296,12 +300,12 @@ def garble_manifest(path):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (shutil.rmtree, "copy.gonio: no such session; give a folder that 'gonio simulate' wrote."),
+        (shutil.rmtree, "copy.gonio: no such session; give a folder that 'gonio simulate' or 'gonio im"),
         (drop_metadata, "copy.gonio: not a session, session.json is missing."),
         (cut_metadata, "session.json: content: "),
         (cut_frame, "frame sample/0/1/2 cannot be read"),
         (change_crc, "frame sample/0/1/2 fails its crc32 check; it is damaged, take it again."),
-        (cut_manifest, "35 of 36 frames are there; run the same 'gonio simulate' command again"),
+        (cut_manifest, "35 of 36 frames are there; run the same 'gonio simulate' or 'gonio import' comm"),
         (garble_manifest, "manifest.jsonl: line 1 is not a frame's line."),
     ],
 )

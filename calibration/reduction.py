@@ -95,7 +95,9 @@ def reduce(
     parts: list[Part] = []
     with ThreadPoolExecutor(threads or default_threads()) as pool:
         work = pool.map(
-            lambda task: list(_reduce_incidence(session, table, evidence[task[0]], *task, retro)),
+            lambda task: list(
+                _reduce_incidence(session, table, evidence[task[0]], task[0], task[1], retro)
+            ),
             tasks,
         )
         for done in work:
@@ -122,7 +124,7 @@ def reduce(
 
 def _findings(plan: Plan, evidence: list[Evidence]) -> tuple[Finding, ...]:
     """What is wrong with the frames, channel by channel, errors first."""
-    found = []
+    found: list[Finding] = []
     for channel, seen in zip(plan.channels, evidence, strict=True):
         own = faults.findings(seen)
         if len(evidence) > 1:
@@ -189,8 +191,6 @@ class Part:
     n_saturated: int
     n_reference: int
     entry: bool  # cells of the lamp's entry patch
-    channel: int
-    left: float = 0.0  # relative error that the correction of multi-bounce leaves
     channel: int
     left: float = 0.0  # relative error that the correction of multi-bounce leaves
 

@@ -330,7 +330,8 @@ class Draws:
         multibounce = 1.0
         if rig.surroundings.multibounce_uncertainty:
             multibounce += rig.surroundings.multibounce_uncertainty * rng.standard_normal()
-        return cls(float(standard), lamp, *(int(s) for s in seeds), max(multibounce, 0.0))
+        pattern, dome, noise = (int(s) for s in seeds)
+        return cls(float(standard), lamp, pattern, dome, noise, max(multibounce, 0.0))
 
 
 def _write_truth(

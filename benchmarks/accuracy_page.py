@@ -34,8 +34,9 @@ certificate; the last column is the error of rho and amplitudes without that par
 
 NOTES = {
     "ideal12": "The camera and the noise of `modern12`, no systematic effects. What is left is "
-    "eq. (3), good to (D/R)^3 on an ellipsoid, which is stated as an uncertainty and not corrected, "
-    "and the bias of a quotient of two noisy frames, 1e-5 of rho_d, which is not stated.",
+    "eq. (3), good to (D/R)^3 on an ellipsoid, which is stated as an uncertainty and not "
+    "corrected, and the bias of a quotient of two noisy frames, 1e-5 of rho_d, which is not "
+    "stated.",
     "modern12": "Everything on, reduced by eq. (3). The standard is half a per cent (one standard "
     "deviation) off its certificate, drawn anew for each material; light that goes round twice is "
     "corrected with a g known to 30 %; what is left are the lamp's drift of 0.3 % between images "

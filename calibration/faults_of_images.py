@@ -57,6 +57,8 @@ def _standard_trend(seen: Evidence) -> Iterator[Finding]:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = {i: signal / common for i, signal in signals.items()}
     level = {i: middle(r) for i, r in ratio.items() if np.isfinite(r).sum() > FEWEST}
+    if len(level) < 2:
+        return  # hardly a pixel saw the standard unsaturated; other checks say so
     angle = {i: seen.theta_i(("standard", 0, i)) for i in level}
     exchanged = _exchanged(level, angle)
     if exchanged:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -96,12 +96,10 @@ def fit(
     0.314159
     """
     chosen = get_model(model) if isinstance(model, str) else model
-    problem = Problem.from_samples(samples, chosen, weights, threads)
-    problem, optimum, doubts = _find(problem, start)
-    faults = optimise.gradient_faults(problem, optimum.p)
-    chi2, dof, scale = _goodness(problem, optimum)
-    errors = uncertainty.evaluate(problem, optimum, scale)
-    errors, undetected = _without_undetected(problem, optimum, errors)
+    found = find_minimum(samples, chosen, weights=weights, start=start, threads=threads)
+    problem, optimum, doubts, faults = found.problem, found.optimum, found.doubts, found.faults
+    chi2, dof, scale = found.chi2, found.dof, found.noise_scale
+    errors, undetected = uncertainties(problem, optimum, scale)
     warnings = _warnings(problem, optimum, errors, chi2, dof, faults) + doubts + undetected
     estimates, bound_warnings = _estimates(problem, optimum, errors, dof)
     warnings += bound_warnings
@@ -128,7 +126,7 @@ def fit(
         warnings += chain.warnings
     return FitResult(
         model=chosen.name,
-        status="converged" if optimum.verified and not faults else "not_converged",
+        status=found.status,
         parameters=estimates,
         covariance=_covariance(chosen.parameters, errors),
         chi2=chi2,
@@ -148,9 +146,73 @@ def fit(
             if posterior
             else None,
         },
-        versions=_versions(),
-        source={"data_sha256": _data_hash(samples), **samples.metadata},
+        **provenance(samples),
     )
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where the least squares of a model lie, and how well it fits there.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the weights that the minimum was found with.
+    optimum : Optimum
+    doubts : list of str
+        A rival minimum, or a lobe that was taken out.
+    faults : list of str
+        Parameters whose derivative is not that of the model.
+    chi2, dof, noise_scale : float, int, float
+        As `FitResult` has them.
+    """
+
+    problem: Problem
+    optimum: Optimum
+    doubts: list[str]
+    faults: list[str]
+    chi2: float
+    dof: int
+    noise_scale: float
+
+    @property
+    def status(self) -> Literal["converged", "not_converged"]:
+        """Whether the optimum passed its checks."""
+        return "converged" if self.optimum.verified and not self.faults else "not_converged"
+
+
+def find_minimum(
+    samples: BRDFSamples,
+    model: Model,
+    *,
+    weights: Weights | None = None,
+    start: Mapping[str, float] | None = None,
+    threads: int | None = None,
+) -> Minimum:
+    """The deepest minimum found and its goodness, without uncertainties; arguments as of `fit`."""
+    problem = Problem.from_samples(samples, model, weights, threads)
+    problem, optimum, doubts = _find(problem, start)
+    faults = optimise.gradient_faults(problem, optimum.p)
+    return Minimum(problem, optimum, doubts, faults, *_goodness(problem, optimum))
+
+
+def uncertainties(
+    problem: Problem, optimum: Optimum, noise_scale: float
+) -> tuple[uncertainty.Uncertainty, list[str]]:
+    """Covariance at a minimum, without parameters of a lobe that may as well not be there.
+
+    The list tells of each such lobe.
+    """
+    errors = uncertainty.evaluate(problem, optimum, noise_scale)
+    return _without_undetected(problem, optimum, errors)
+
+
+def provenance(samples: BRDFSamples) -> dict[str, Any]:
+    """What a result says of its origin: versions of the programs, and the data."""
+    return {
+        "versions": _versions(),
+        "source": {"data_sha256": _data_hash(samples), **samples.metadata},
+    }
 
 
 def _find(

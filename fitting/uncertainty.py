@@ -96,17 +96,31 @@ def _moves(
     problem: Problem, term: SharedTerm, p: FloatArray, f: FloatArray, gain: FloatArray
 ) -> FloatArray:
     """Parameter change for one standard deviation of every draw of a term, (groups, P)."""
-    if term.shift is not None:
-        change = _shifted(problem, term.shift, p)
-    elif term.blur:
-        change = _blurred(problem, term.blur, p) - f
-    else:
-        change = term.change(f)
+    change = shared_change(problem, term, p, f)
     if term.group is None:
         return np.asarray(gain @ change)[None, :]
     _, group = np.unique(term.group, return_inverse=True)
     weighted = gain * change
     return np.stack([np.bincount(group, weights=row) for row in weighted], axis=1)
+
+
+def shared_change(problem: Problem, term: SharedTerm, p: FloatArray, f: FloatArray) -> FloatArray:
+    """Change of the samples (N,) for one standard deviation of a shared term.
+
+    Parameters
+    ----------
+    problem : Problem
+    term : SharedTerm
+    p : ndarray
+        Parameters.
+    f : ndarray, shape (N,)
+        Model values at p.
+    """
+    if term.shift is not None:
+        return _shifted(problem, term.shift, p)
+    if term.blur:
+        return _blurred(problem, term.blur, p) - f
+    return term.change(f)
 
 
 def _shifted(problem: Problem, shift: FloatArray, p: FloatArray) -> FloatArray:

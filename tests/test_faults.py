@@ -152,6 +152,18 @@ def test_a_saturated_standard_stops_the_reduction(good):
         gonio.reduce(Altered(good, change))
 
 
+def test_a_standard_of_which_a_few_pixels_are_left_stops_the_reduction(good):
+    def change(role, take, incidence, frames):
+        if role != "standard":
+            return frames
+        bright = np.minimum((frames - float(BLACK)) * 300 + BLACK, TOP)
+        middle = tuple(slice(n // 2 - 1, n // 2 + 1) for n in frames.shape[-2:])
+        bright[..., *middle] = frames[..., *middle]
+        return bright
+
+    assert found(good, change)["saturated_standard"].startswith("error: standard at 0 deg: 99.")
+
+
 def test_a_saturated_sample_is_named_and_left_out(good):
     def change(role, take, incidence, frames):
         if (role, incidence) == ("sample", 2):

@@ -21,11 +21,14 @@ from gonio.errors import GonioError, SessionInterruptedError, unknown_name
 
 # In the order of the work. The help of the group comes from here and imports no command.
 _COMMANDS = {
+    "design": "Choose which images to take for a wanted precision.",
     "simulate": "Record the raw frames of a surface on a virtual instrument.",
     "import": "Make a session of a camera's files.",
     "reduce": "Turn raw frames into BRDF samples with uncertainties.",
     "fit": "Fit a reflectance model to BRDF samples.",
+    "compare": "Tell which of several models BRDF samples prefer.",
     "plot": "Draw BRDF samples or a fit.",
+    "report": "Write a fit as one HTML page.",
     "evaluate": "Evaluate a model at the directions of a file.",
     "budget": "List where the uncertainty of the samples comes from.",
     "check": "Check a model or a file: reciprocity, energy, which quantity.",

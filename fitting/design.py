@@ -1,0 +1,445 @@
+"""Where to measure: Fisher information of candidate images, and the plan that it leads to.
+
+Every candidate image is known by its samples as a measurement would deliver them: directions,
+cells, variances and the errors that they share. From these follow, for any choice of images,
+
+- what a fit will state: parameters by weighted least squares over the independent errors, shared
+  errors carried through linearly (`uncertainty.py`): H^-1 + sum_g m_g m_g^T with
+  H = J^T W J and m_g = H^-1 J^T W u_g for every draw g of a shared error u;
+- the information that an estimator could use which knows the shared errors' sizes: they are
+  unknowns with unit prior, marginalised by a Schur complement. Its inverse bounds the first from
+  below (Cramer and Rao).
+
+With 1e5 pixels an image, counts decide next to nothing and the lamp and the standard nearly all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.fitting.optimise import UNDETERMINED
+from gonio.fitting.problem import Problem
+from gonio.fitting.uncertainty import shared_change
+from gonio.geometry import FloatArray
+from gonio.models import Model
+from gonio.samples import BRDFSamples, SharedTerm
+
+MAX_REPEATS = 4  # takes of each background and standard that are considered
+_EXCHANGE = 1e-3  # by which a merit must fall for an exchange
+_LEAST_GAIN = 0.02  # of what averaging alone would bring, below which images are not worth it
+_MISSING = 100.0  # what a parameter without information adds to a merit
+
+
+@dataclass(frozen=True)
+class Design:
+    """A choice of images: every rotation at every incidence, by their numbers.
+
+    Parameters
+    ----------
+    incidences, rotations : tuple of int
+        Numbers in the candidates' lists, growing.
+    repeats : int
+        Takes of each background and standard.
+
+    Examples
+    --------
+    >>> Design((0, 3), (1,), 2).n_images
+    10
+    """
+
+    incidences: tuple[int, ...]
+    rotations: tuple[int, ...]
+    repeats: int = 1
+
+    @property
+    def n_images(self) -> int:
+        """Images of the sample, the standard and the background."""
+        return (len(self.rotations) + 2 * self.repeats) * len(self.incidences)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Standard uncertainties that a fit to the images of a design will state.
+
+    Parameters
+    ----------
+    u : ndarray, shape (P,)
+        In the unit of Python; infinite where the images say nothing of the parameter.
+    components : mapping of str to ndarray, shape (P,)
+        The same by source.
+    determined : ndarray of bool, shape (P,)
+    """
+
+    u: FloatArray
+    components: dict[str, FloatArray]
+    determined: NDArray[np.bool_]
+
+    def limit(self, j: int) -> tuple[str, float]:
+        """The largest source of parameter j and its standard uncertainty."""
+        name = max(self.components, key=lambda source: float(self.components[source][j]))
+        return name, float(self.components[name][j])
+
+
+@dataclass(frozen=True)
+class _Image:
+    """Derivatives (cells, P), changes by shared errors (cells, T), and variances of an image."""
+
+    columns: FloatArray  # (cells, P + T)
+    own: FloatArray
+    reference: FloatArray
+    groups: tuple[int, ...]  # which draw of each shared error is in the image
+
+
+class Candidates:
+    """Images that could be taken, with what each says of the parameters.
+
+    Parameters
+    ----------
+    samples : BRDFSamples
+        Of every candidate image, number incidence * n_rotations + rotation, with one take of each
+        background and standard.
+    model : Model
+    p : ndarray, shape (P,)
+        Parameters about which the plan is made.
+    n_incidences, n_rotations : int
+    averaged : collection of str
+        Names of shared errors that average down over takes of background and standard.
+    threads : int, optional
+        The result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        samples: BRDFSamples,
+        model: Model,
+        p: FloatArray,
+        *,
+        n_incidences: int,
+        n_rotations: int,
+        averaged: Collection[str] = (),
+        threads: int | None = None,
+    ) -> None:
+        assert samples.image is not None
+        self.model, self.p = model, p
+        self.n_incidences, self.n_rotations = n_incidences, n_rotations
+        self.terms = tuple(term.name for term in samples.shared)
+        self._averaged = np.array([name in averaged for name in self.terms], dtype=bool)
+        # Counting the reference twice tells it apart.
+        problem = Problem.from_samples(replace(samples, reference_sharing=2), model, "sd", threads)
+        f, jacobian = problem.jacobian(p)
+        once = problem.variance(f)
+        reference = problem.variance(f, sharing=True) - once
+        changes = [shared_change(problem, term, p, f) for term in samples.shared]
+        columns = np.column_stack([jacobian, *changes])
+        groups = [_compact(term, len(samples)) for term in samples.shared]
+        self._images: dict[int, _Image] = {}
+        for k in range(n_incidences * n_rotations):
+            own = np.flatnonzero(samples.image == k)
+            if len(own):
+                self._images[k] = _Image(
+                    columns[own],
+                    (once - reference)[own],
+                    reference[own],
+                    tuple(int(group[own[0]]) for group in groups),
+                )
+        self._place = {k: n for n, k in enumerate(self._images)}
+        self._groups = np.array(
+            [image.groups for image in self._images.values()], dtype=np.int64
+        ).reshape(len(self._images), len(self.terms))
+        self._grouped = set(np.flatnonzero(self._groups.any(axis=0)).tolist())
+        self._made: dict[tuple[int, float], FloatArray] = {}
+        self._made_rows: dict[float, FloatArray] = {}
+
+    @property
+    def everything(self) -> Design:
+        """Every candidate image, once."""
+        return Design(tuple(range(self.n_incidences)), tuple(range(self.n_rotations)))
+
+    def expected(self, design: Design) -> Expected:
+        """What a fit to these images will state."""
+        return self._expected(self._numbers(design), design)
+
+    def information(self, design: Design) -> FloatArray:
+        """Information of the parameters, shared errors marginalised, shape (P, P).
+
+        Another incidence or take never lowers it. Nor does another rotation, but for the noise of
+        the standard's frames, which is counted in full in every image that they serve.
+        """
+        return self._information(self._numbers(design), design)
+
+    def bound(self, design: Design) -> FloatArray:
+        """Standard uncertainty (P,) of the best estimator; infinite without information."""
+        return _standard(self.information(design))
+
+    def helps_most(self, design: Design) -> list[tuple[int, int, float] | None]:
+        """For each parameter the image that a fit would miss most.
+
+        Returns
+        -------
+        list of (incidence, rotation, growth), or None
+            Numbers of the image, and the factor by which `Expected.u` grows without it; None
+            where the design says nothing of the parameter.
+        """
+        numbers = self._numbers(design)
+        whole = self._expected(numbers, design).u
+        without = np.array(
+            [self._expected([n for n in numbers if n != k], design).u for k in numbers]
+        ).reshape(len(numbers), len(self.p))
+        found: list[tuple[int, int, float] | None] = []
+        for j, u in enumerate(whole):
+            if not np.isfinite(u):
+                found.append(None)
+                continue
+            best = int(np.argmax(without[:, j]))
+            incidence, rotation = divmod(numbers[best], self.n_rotations)
+            found.append((incidence, rotation, float(without[best, j] / u)))
+        return found
+
+    def _numbers(self, design: Design) -> list[int]:
+        """Images of a design that have samples."""
+        numbers = (i * self.n_rotations + r for i in design.incidences for r in design.rotations)
+        return [k for k in numbers if k in self._images]
+
+    def _matrix(self, k: int, design: Design) -> FloatArray:
+        """X^T W X of an image, with X = [J, shared errors], (P + T, P + T)."""
+        # As many images share a standard as there are rotations; a fit counts its noise so often.
+        sharing = len(design.rotations) / design.repeats
+        if (k, sharing) not in self._made:
+            image = self._images[k]
+            weight = 1 / (image.own + sharing * image.reference)
+            self._made[k, sharing] = image.columns.T @ (image.columns * weight[:, None])
+        return self._made[k, sharing]
+
+    def _rows(self, design: Design) -> FloatArray:
+        """The rows of `_matrix` that belong to parameters, of every image, (images, P, P + T)."""
+        sharing = len(design.rotations) / design.repeats
+        if sharing not in self._made_rows:
+            n_p = len(self.p)
+            rows = [self._matrix(k, design)[:n_p] for k in self._images]
+            self._made_rows[sharing] = np.array(rows).reshape(len(rows), n_p, -1)
+        return self._made_rows[sharing]
+
+    def _scale(self, design: Design) -> FloatArray:
+        """Factor on every shared error (T,) by the takes over which it is averaged."""
+        return np.where(self._averaged, 1 / np.sqrt(design.repeats), 1.0)
+
+    def _expected(self, numbers: list[int], design: Design) -> Expected:
+        n_p = len(self.p)
+        # J^T W [J, u] of every image.
+        made = self._rows(design)[[self._place[k] for k in numbers]]
+        summed = made.sum(axis=0)
+        inverse, determined = _inverse(summed[:, :n_p])
+        variances = {"independent": np.diag(inverse)}
+        scale = self._scale(design)
+        alike = (inverse @ summed[:, n_p:] * scale) ** 2
+        for t, name in enumerate(self.terms):
+            found = alike[:, t]
+            if t in self._grouped:
+                groups = self._groups[[self._place[k] for k in numbers], t]
+                pull = np.zeros((groups.max(initial=0) + 1, n_p))
+                np.add.at(pull, groups, made[:, :, n_p + t] * scale[t])
+                found = np.sum((pull @ inverse) ** 2, axis=0)
+            variances[name] = variances.get(name, 0.0) + found
+        total = np.sum(list(variances.values()), axis=0)
+        return Expected(
+            np.where(determined, np.sqrt(total), np.inf),
+            {name: np.sqrt(np.maximum(v, 0.0)) for name, v in variances.items()},
+            determined,
+        )
+
+    def _information(self, numbers: list[int], design: Design) -> FloatArray:
+        n_p = len(self.p)
+        scale = np.concatenate([np.ones(n_p), self._scale(design)])
+        draws = {d for k in numbers for d in enumerate(self._images[k].groups)}
+        place = {draw: n_p + z for z, draw in enumerate(sorted(draws))}
+        joint = np.zeros((n_p + len(place),) * 2)
+        for k in numbers:
+            at = [*range(n_p), *(place[draw] for draw in enumerate(self._images[k].groups))]
+            joint[np.ix_(at, at)] += self._matrix(k, design) * np.outer(scale, scale)
+        # Each draw is an unknown of mean 0 and variance 1.
+        nuisance = joint[n_p:, n_p:] + np.eye(len(place))
+        cross = joint[:n_p, n_p:]
+        schur = joint[:n_p, :n_p] - cross @ np.linalg.solve(nuisance, cross.T)
+        return np.asarray((schur + schur.T) / 2)
+
+
+def _compact(term: SharedTerm, n: int) -> NDArray[np.int64]:
+    """Draws of a term counted from 0."""
+    if term.group is None:
+        return np.zeros(n, dtype=np.int64)
+    return np.asarray(np.unique(term.group, return_inverse=True)[1])
+
+
+def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Inverse over the parameters that take no part in a direction without information."""
+    n_p = len(information)
+    diagonal = np.diag(information)
+    determined = np.asarray(diagonal > 0)
+    index = np.flatnonzero(determined)
+    inverse = np.zeros((n_p, n_p))
+    if len(index) == 0:
+        return inverse, determined
+    scale = 1 / np.sqrt(diagonal[index])
+    values, vectors = np.linalg.eigh(information[np.ix_(index, index)] * np.outer(scale, scale))
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value < UNDETERMINED:
+            determined[index[np.abs(vector) > 1e-3]] = False
+    index = np.flatnonzero(determined)
+    if len(index):
+        scale = 1 / np.sqrt(diagonal[index])
+        scaled = information[np.ix_(index, index)] * np.outer(scale, scale)
+        inverse[np.ix_(index, index)] = np.linalg.inv(scaled) * np.outer(scale, scale)
+    return inverse, determined
+
+
+def _standard(information: FloatArray) -> FloatArray:
+    """Standard uncertainties (P,) of an information; infinite where there is none."""
+    inverse, determined = _inverse(information)
+    return np.where(determined, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
+
+
+# ---------------------------------------------------------------- which images to take
+
+Merit = Callable[[Expected], float]
+
+
+def merit_of_targets(targets: FloatArray) -> Merit:
+    """ln sum (u/target)^2 over the parameters that are wanted (c-optimal).
+
+    Parameters
+    ----------
+    targets : ndarray, shape (P,)
+        Wanted standard uncertainties; NaN where a parameter is not asked for.
+    """
+    wanted = np.flatnonzero(np.isfinite(targets))
+
+    def merit(expected: Expected) -> float:
+        known = wanted[expected.determined[wanted]]
+        total = float(np.sum((expected.u[known] / targets[known]) ** 2))
+        missing = len(wanted) - len(known)
+        return (np.log(total) if total > 0 else 0.0) + _MISSING * missing
+
+    return merit
+
+
+def merit_of_all(known: NDArray[np.bool_]) -> Merit:
+    """ln of the product of the standard uncertainties, whatever the parameters' units.
+
+    Parameters
+    ----------
+    known : ndarray of bool, shape (P,)
+        Parameters of which some image says something.
+    """
+    wanted = np.flatnonzero(known)
+
+    def merit(expected: Expected) -> float:
+        found = wanted[expected.determined[wanted]]
+        u = np.maximum(expected.u[found], 1e-300)
+        return float(np.sum(np.log(u))) + _MISSING * (len(wanted) - len(found))
+
+    return merit
+
+
+def choose(
+    candidates: Candidates,
+    merit: Merit,
+    *,
+    budget: int | None = None,
+    reached: Callable[[Expected], bool] | None = None,
+) -> Design:
+    """Few images with a small merit: greedy choice with exchange.
+
+    From the best single image on, what lowers the merit most for each image that it costs is
+    taken: an incidence, a rotation at every incidence, or another take of every background and
+    standard. After each, angles are exchanged for others while that helps. The search ends where
+    `reached` says so, at the budget, or where nothing helps; then what is not needed is dropped.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    merit : callable
+        From `merit_of_targets` or `merit_of_all`.
+    budget : int, optional
+        Images of sample, standard and background together, at least 3.
+    reached : callable, optional
+        Whether what is expected is good enough; never, where not given.
+    """
+    limit = np.inf if budget is None else budget
+
+    def value(design: Design) -> float:
+        return merit(candidates.expected(design))
+
+    def good(design: Design) -> bool:
+        return reached is not None and reached(candidates.expected(design))
+
+    whole = candidates.everything
+    singles = [Design((i,), (r,)) for i in whole.incidences for r in whole.rotations]
+    design = min(singles, key=value)
+    while not good(design):
+        now = value(design)
+        bigger = [d for d in _additions(design, whole) if d.n_images <= limit]
+        gains = [(now - value(d)) / (d.n_images - design.n_images) for d in bigger]
+        if not gains or max(gains) < _LEAST_GAIN / max(design.n_images, 1):
+            break
+        design = _exchanged(bigger[int(np.argmax(gains))], whole, value)
+    while good(design):
+        smaller = [d for d in _removals(design) if good(d)]
+        if not smaller:
+            break
+        design = min(smaller, key=lambda d: (d.n_images, value(d)))
+    return design
+
+
+def _additions(design: Design, whole: Design) -> Iterator[Design]:
+    """The design with one incidence, rotation or take more."""
+    for i in sorted(set(whole.incidences) - set(design.incidences)):
+        yield replace(design, incidences=tuple(sorted({*design.incidences, i})))
+    for r in sorted(set(whole.rotations) - set(design.rotations)):
+        yield replace(design, rotations=tuple(sorted({*design.rotations, r})))
+    if design.repeats < MAX_REPEATS:
+        yield replace(design, repeats=design.repeats + 1)
+
+
+def _removals(design: Design) -> Iterator[Design]:
+    """The design with one incidence, rotation or take less."""
+    for i in design.incidences if len(design.incidences) > 1 else ():
+        yield replace(design, incidences=tuple(k for k in design.incidences if k != i))
+    for r in design.rotations if len(design.rotations) > 1 else ():
+        yield replace(design, rotations=tuple(k for k in design.rotations if k != r))
+    if design.repeats > 1:
+        yield replace(design, repeats=design.repeats - 1)
+
+
+def _exchanged(design: Design, whole: Design, value: Callable[[Design], float]) -> Design:
+    """The design with each of its angles in turn replaced by the best one."""
+    for i in design.incidences:
+        swapped = _swapped(design.incidences, i, whole.incidences)
+        design = _better([replace(design, incidences=found) for found in swapped], design, value)
+    for r in design.rotations:
+        swapped = _swapped(design.rotations, r, whole.rotations)
+        design = _better([replace(design, rotations=found) for found in swapped], design, value)
+    return design
+
+
+def _swapped(chosen: tuple[int, ...], old: int, whole: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The numbers with another one in the place of `old`.
+
+    Examples
+    --------
+    >>> _swapped((0, 2), 2, (0, 1, 2, 3))
+    [(0, 1), (0, 3)]
+    """
+    kept = set(chosen) - {old}
+    return [tuple(sorted({*kept, new})) for new in whole if new not in chosen]
+
+
+def _better(others: list[Design], design: Design, value: Callable[[Design], float]) -> Design:
+    """The best of the others if it is better than the design."""
+    if not others:
+        return design
+    best = min(others, key=value)
+    return best if value(best) < value(design) - _EXCHANGE else design

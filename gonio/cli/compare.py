@@ -1,0 +1,240 @@
+"""`gonio compare`: which of several models the samples prefer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from gonio.fitting.compare import Comparison, Entry, Score
+
+LARGE = 1e5  # from which a number is written with an exponent
+
+
+@click.command(name="compare")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.option(
+    "--models",
+    "model_names",
+    required=True,
+    metavar="MODEL,MODEL,...",
+    help="Models to compare, two at least.",
+)
+@click.option(
+    "--weights",
+    type=click.Choice(["sd", "none", "cos", "coscos"]),
+    help="What each residual is multiplied by: one over its uncertainty (sd, where known), 1, "
+    "cos theta_r, or cos theta_i cos theta_r.",
+)
+@click.option(
+    "--select",
+    "selections",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Use part of a file: wavelength=650 (nm) or channel=NAME.",
+)
+@click.option(
+    "--max-theta-i", type=click.FloatRange(0, 90), metavar="DEG", help="Largest incidence angle."
+)
+@click.option(
+    "--max-theta-r", type=click.FloatRange(0, 90), metavar="DEG", help="Largest viewing angle."
+)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
+              help="Seed of everything random.")  # fmt: skip
+@click.option("--threads", type=click.IntRange(min=1), metavar="N",
+              help="Threads to use; the result does not depend on it.")  # fmt: skip
+@click.option(
+    "-o",
+    "--output",
+    metavar="OUT.json",
+    type=click.Path(path_type=Path),
+    help="Where to write the comparison.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    source: Path,
+    model_names: str,
+    weights: Any,
+    selections: tuple[str, ...],
+    max_theta_i: float | None,
+    max_theta_r: float | None,
+    seed: int,
+    threads: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Compare models on the BRDF samples of INPUT.
+
+    Each model is fitted, then predicts every incidence from a fit to all others. The best comes
+    first, with the differences of the others to it. The exit code is 1 where a fit did not meet
+    its own checks.
+    """
+    from gonio.cli.fit import _one_channel, _pairs, _read
+    from gonio.cli.options import check_target
+    from gonio.cli.progress import progress
+    from gonio.fitting.compare import compare
+    from gonio.models import get
+
+    models = [get(name) for name in _names(model_names)]
+    if output is not None:
+        check_target(output)
+    samples = _read(source, _pairs(selections), threads)
+    radians = [
+        None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
+    ]
+    samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
+    _one_channel(source, samples)
+    with progress(f"comparing {len(models)} models", "models") as callback:
+        found = compare(
+            samples,
+            models,
+            weights=weights,
+            seed=seed,
+            threads=threads,
+            cuts={
+                "select": dict(_pairs(selections)),
+                "max_theta_i_deg": max_theta_i,
+                "max_theta_r_deg": max_theta_r,
+            },
+            progress=callback,
+        )
+    found = replace(found, source={**found.source, "input": str(source)})
+    if output is not None:
+        found.save(output)
+    if as_json:
+        click.echo(found.to_json(), nl=False)
+    else:
+        _tell(found, output)
+    if not found.ok:
+        ctx.exit(1)
+
+
+def _names(text: str) -> list[str]:
+    """Models of a list with commas; too few are refused before anything is read."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if len(names) < 2:
+        raise ConfigurationError(
+            f"--models {text!r}: give two models at least, for instance --models ward,ward_duer.",
+            value=text,
+        )
+    return names
+
+
+def _tell(found: Comparison, output: Path | None) -> None:
+    """The comparison as a table, what it means under it."""
+    import shutil
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    weights = {"sd": "1/uncertainty", "none": "equal", "cos": "cos theta_r",
+               "coscos": "cos theta_i cos theta_r"}[found.weights]  # fmt: skip
+    click.echo(
+        f"{found.n_samples} samples, {len(found.groups)} incidences{_cuts(found)}; "
+        f"weights: {weights}"
+    )
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("model", overflow="fold")
+    table.add_column("P", justify="right", no_wrap=True)
+    stated = found.weights == "sd"
+    for heading in ("chi2/dof" if stated else "rel.chi2", "held-out", "LOO", "log Z"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    unit = 1.0 if stated else found.noise_scale**2
+    for entry in found.entries:
+        table.add_row(*_row(entry, unit, first=entry is found.best))
+    width = max(80, shutil.get_terminal_size((80, 24)).columns)
+    Console(width=width, highlight=False, markup=False).print(table)
+    best = found.best
+    for name, score in (("held-out", best.held_out), ("LOO", best.loo)):
+        if score is not None:
+            click.echo(f"{name} score of {best.model}: {_plus_minus(score.value, score.stderr)}")
+    failed = [entry.model for entry in found.entries if entry.status != "converged"]
+    click.echo(f"status: {'NOT converged: ' + ', '.join(failed) if failed else 'all converged'}")
+    click.echo(_legend(found, stated))
+    click.echo(found.conclusion)
+    for note in found.notes:
+        click.echo(f"note: {note}")
+    for entry in found.entries:
+        for note in entry.notes:
+            click.echo(f"{entry.model}: {note}")
+    if output is not None:
+        click.echo(f"written to {output}", err=True)
+
+
+def _legend(found: Comparison, stated: bool) -> str:
+    """What the columns are."""
+    parts = [
+        "P: parameters",
+        "held-out, LOO: log predictive density less that of the first, ± standard error",
+        "log Z: log evidence, priors flat between the bounds",
+    ]
+    parts += [] if stated else ["rel.chi2: chi2/dof by that of the best fit"]
+    doubtful = any(_doubtful(entry) for entry in found.entries)
+    return "; ".join(parts + (["?: not to be trusted"] if doubtful else []))
+
+
+def _cuts(found: Comparison) -> str:
+    cuts = [
+        f"{name} <= {limit:g} deg"
+        for name, limit in (
+            ("theta_i", found.cuts["max_theta_i_deg"]),
+            ("theta_r", found.cuts["max_theta_r_deg"]),
+        )
+        if limit is not None
+    ]
+    cuts += [f"{key} = {value}" for key, value in found.cuts["select"].items()]
+    return f" with {', '.join(cuts)}" if cuts else ""
+
+
+def _row(entry: Entry, unit: float, *, first: bool) -> list[str]:
+    evidence = "none"
+    if entry.log_evidence is not None and entry.log_evidence_stderr is not None:
+        evidence = _number(entry.log_evidence, 1 if entry.log_evidence_stderr < 0.05 else 0)
+    loo = _difference(entry.loo, first=first) + ("?" if _doubtful(entry) else "")
+    held_out = _difference(entry.held_out, first=first)
+    ratio = f"{entry.chi2 / entry.dof / unit:.3g}"
+    name = "\n  ".join([entry.model, *_remarks(entry)])
+    return [name, str(entry.n_parameters), ratio, held_out, loo, evidence]
+
+
+def _remarks(entry: Entry) -> list[str]:
+    """What stands below a model's name: only what is not as it should be."""
+    remarks = [] if entry.status == "converged" else ["NOT converged"]
+    for what, names in (("at bound", entry.at_bound), ("undetermined", entry.undetermined)):
+        remarks += [f"{what}: {', '.join(names)}"] if names else []
+    return remarks
+
+
+def _doubtful(entry: Entry) -> bool:
+    from gonio.fitting.criteria import MAX_K_HAT
+
+    return entry.loo is not None and not (entry.loo_k_hat or 0.0) <= MAX_K_HAT
+
+
+def _difference(score: Score | None, *, first: bool) -> str:
+    if score is None:
+        return "none"
+    return "0" if first else _plus_minus(score.difference, score.difference_stderr)
+
+
+def _plus_minus(value: float, stderr: float) -> str:
+    decimals = 0 if stderr >= 10 else 1 if stderr >= 0.1 else 2
+    return f"{_number(value, decimals)} ± {_number(stderr, decimals)}"
+
+
+def _number(value: float, decimals: int) -> str:
+    """Short enough for a column, also where a model is far off."""
+    if abs(value) >= LARGE:
+        mantissa, _, exponent = f"{value:.2e}".partition("e")
+        return f"{mantissa}e{int(exponent)}"
+    shown = f"{value:.{decimals}f}"
+    return shown if float(shown) else f"{0:.{decimals}f}"

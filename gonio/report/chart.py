@@ -1,0 +1,96 @@
+"""Charts as plain data for plotly.js: views to choose from, numbers with few digits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+Trace = dict[str, Any]
+DIGITS = 4
+
+
+@dataclass(frozen=True)
+class View:
+    """Traces and layout of one state of a chart, in plotly's own words."""
+
+    label: str
+    data: list[Trace]
+    layout: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart of a report.
+
+    Parameters
+    ----------
+    ident : str
+        Its name in the page.
+    chooses : str
+        What the views differ in, the label of the menu.
+    views : tuple of View
+    caption : str
+    height : int
+        Pixels on a screen.
+    first : int
+        The view that is shown first.
+    min_width : int
+        Pixels below which it scrolls sideways in place of shrinking.
+    """
+
+    ident: str
+    chooses: str
+    views: tuple[View, ...]
+    caption: str
+    height: int = 420
+    first: int = 0
+    min_width: int = 0
+
+
+def short(values: ArrayLike, digits: int = DIGITS) -> list[Any]:
+    """Numbers with so many significant digits, nested as the array is.
+
+    Examples
+    --------
+    >>> short([1.23456, 1e-9 / 3], 3)
+    [1.23, 3.33e-10]
+    """
+    array = np.asarray(values, float)
+    if array.ndim > 1:
+        return [short(row, digits) for row in array]
+    return [float(f"{x:.{digits}g}") if np.isfinite(x) else None for x in array.tolist()]
+
+
+def axis(title: str, **more: Any) -> dict[str, Any]:
+    """A plotly axis with its title."""
+    return {"title": {"text": title}, **more}
+
+
+def faded(colour: str, alpha: float) -> str:
+    """A colour #rrggbb with an opacity.
+
+    Examples
+    --------
+    >>> faded("#0072B2", 0.25)
+    'rgba(0, 114, 178, 0.25)'
+    """
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return f"rgba({red}, {green}, {blue}, {alpha:g})"
+
+
+def spread(items: Iterable[Any], n: int) -> list[Any]:
+    """At most n of the items, evenly spread, first and last among them.
+
+    Examples
+    --------
+    >>> spread(range(10), 4)
+    [0, 3, 6, 9]
+    """
+    items = list(items)
+    if len(items) <= n:
+        return items
+    return [items[k] for k in np.linspace(0, len(items) - 1, n).round().astype(int)]

@@ -18,6 +18,23 @@ _ON_AXIS = 1e-9  # rad; nearer than that a direction has no azimuth
 _TABLE = 4097
 
 
+Terms = tuple[float, float, float, float]
+
+
+def stretch(k: Terms, theta: FloatArray) -> FloatArray:
+    """r/(f theta) of the polynomial."""
+    k1, k2, k3, k4 = k
+    q = theta * theta
+    return np.asarray(1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
+
+
+def slope(k: Terms, theta: FloatArray) -> FloatArray:
+    """Derivative of r/f by theta of the polynomial."""
+    k1, k2, k3, k4 = k
+    q = theta * theta
+    return np.asarray(1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4))))
+
+
 @dataclass(frozen=True)
 class Fisheye:
     """A lens before a sensor.
@@ -41,22 +58,18 @@ class Fisheye:
     """
 
     f: float
-    k: tuple[float, float, float, float] = NO_TERMS
+    k: Terms = NO_TERMS
     centre: tuple[float, float] = (0.0, 0.0)
     ratio: float = 1.0
 
     def radius(self, theta: ArrayLike) -> FloatArray:
         """Distance from the centre, pixels of a row, at polar angles in radians."""
         t = np.asarray(theta, float)
-        k1, k2, k3, k4 = self.k
-        q = t * t
-        return np.asarray(self.f * t * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4)))))
+        return np.asarray(self.f * t * stretch(self.k, t))
 
     def slope(self, theta: ArrayLike) -> FloatArray:
         """Derivative of `radius` by theta."""
-        q = np.square(np.asarray(theta, float))
-        k1, k2, k3, k4 = self.k
-        return np.asarray(self.f * (1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))))
+        return np.asarray(self.f * slope(self.k, np.asarray(theta, float)))
 
     def grows_to(self, limit: float = np.pi) -> float:
         """Polar angle, radians, at which the radius stops growing, or `limit` if it does not."""

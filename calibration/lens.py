@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gonio.calibration.fisheye import NO_TERMS, Terms, slope, stretch
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray
 from gonio.metadata import Camera, LensCalibration
@@ -81,7 +82,7 @@ def sensor_radius(lens: LensCalibration, theta_c: ArrayLike) -> FloatArray:
     theta = np.asarray(theta_c, float)
     if lens.projection == "equisolid":
         return np.asarray(2 * lens.focal_length_mm * np.sin(theta / 2))
-    return np.asarray(lens.focal_length_mm * theta * _stretch(_terms(lens), theta))
+    return np.asarray(lens.focal_length_mm * theta * stretch(_terms(lens), theta))
 
 
 def solid_angle_per_area(lens: LensCalibration, theta_c: ArrayLike) -> FloatArray:
@@ -107,32 +108,18 @@ def solid_angle_per_area(lens: LensCalibration, theta_c: ArrayLike) -> FloatArra
         # r = 2 f sin(theta/2): the same everywhere, which is the projection's name.
         return np.where(np.isfinite(theta), 1 / f**2, np.nan)
     k = _terms(lens)
-    return np.asarray(np.sinc(theta / np.pi) / (_stretch(k, theta) * _slope(k, theta)) / f**2)
+    return np.asarray(np.sinc(theta / np.pi) / (stretch(k, theta) * slope(k, theta)) / f**2)
 
 
-def _terms(lens: LensCalibration) -> tuple[float, float, float, float]:
-    return lens.k if lens.projection == "kannala_brandt" else (0.0, 0.0, 0.0, 0.0)
+def _terms(lens: LensCalibration) -> Terms:
+    return lens.k if lens.projection == "kannala_brandt" else NO_TERMS
 
 
-def _stretch(k: tuple[float, float, float, float], theta: FloatArray) -> FloatArray:
-    """r/(f theta) of the Kannala-Brandt polynomial."""
-    k1, k2, k3, k4 = k
-    q = theta * theta
-    return 1 + q * (k1 + q * (k2 + q * (k3 + q * k4)))
-
-
-def _slope(k: tuple[float, float, float, float], theta: FloatArray) -> FloatArray:
-    """Derivative of r/f by theta of the Kannala-Brandt polynomial."""
-    k1, k2, k3, k4 = k
-    q = theta * theta
-    return 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * (9 * k4))))
-
-
-def _invert(k: tuple[float, float, float, float], radius: FloatArray, edge: float) -> FloatArray:
+def _invert(k: Terms, radius: FloatArray, edge: float) -> FloatArray:
     """theta with theta (1 + k1 theta^2 + ...) = radius, up to a little beyond the edge."""
     # A table brackets each radius; Newton polishes within the bracket's cell.
     grid = np.linspace(0, 1.02 * edge, 4097)
-    table = grid * _stretch(k, grid)
+    table = grid * stretch(k, grid)
     if np.any(np.diff(table) <= 0):
         turns = np.degrees(grid[np.argmax(np.diff(table) <= 0)])
         raise ConfigurationError(
@@ -145,5 +132,5 @@ def _invert(k: tuple[float, float, float, float], radius: FloatArray, edge: floa
     inside = np.isfinite(theta)
     for _ in range(2):
         t = theta[inside]
-        theta[inside] = t - (t * _stretch(k, t) - radius[inside]) / _slope(k, t)
+        theta[inside] = t - (t * stretch(k, t) - radius[inside]) / slope(k, t)
     return theta

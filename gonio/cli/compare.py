@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.measured import WEIGHTS, read_samples, sample_options
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -26,25 +26,7 @@ LARGE = 1e5  # from which a number is written with an exponent
     metavar="MODEL,MODEL,...",
     help="Models to compare, two at least.",
 )
-@click.option(
-    "--weights",
-    type=click.Choice(["sd", "none", "cos", "coscos"]),
-    help="What each residual is multiplied by: one over its uncertainty (sd, where known), 1, "
-    "cos theta_r, or cos theta_i cos theta_r.",
-)
-@click.option(
-    "--select",
-    "selections",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Use part of a file: wavelength=650 (nm) or channel=NAME.",
-)
-@click.option(
-    "--max-theta-i", type=click.FloatRange(0, 90), metavar="DEG", help="Largest incidence angle."
-)
-@click.option(
-    "--max-theta-r", type=click.FloatRange(0, 90), metavar="DEG", help="Largest viewing angle."
-)
+@sample_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
               help="Seed of everything random.")  # fmt: skip
 @click.option("--threads", type=click.IntRange(min=1), metavar="N",
@@ -77,7 +59,6 @@ def command(
     first, with the differences of the others to it. The exit code is 1 where a fit did not meet
     its own checks.
     """
-    from gonio.cli.fit import _one_channel, _pairs, _read
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.fitting.compare import compare
@@ -86,12 +67,7 @@ def command(
     models = [get(name) for name in _names(model_names)]
     if output is not None:
         check_target(output)
-    samples = _read(source, _pairs(selections), threads)
-    radians = [
-        None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
-    ]
-    samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
-    _one_channel(source, samples)
+    samples, cuts = read_samples(source, selections, max_theta_i, max_theta_r, threads)
     with progress(f"comparing {len(models)} models", "models") as callback:
         found = compare(
             samples,
@@ -99,11 +75,7 @@ def command(
             weights=weights,
             seed=seed,
             threads=threads,
-            cuts={
-                "select": dict(_pairs(selections)),
-                "max_theta_i_deg": max_theta_i,
-                "max_theta_r_deg": max_theta_r,
-            },
+            cuts=cuts,
             progress=callback,
         )
     found = replace(found, source={**found.source, "input": str(source)})
@@ -136,11 +108,9 @@ def _tell(found: Comparison, output: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    weights = {"sd": "1/uncertainty", "none": "equal", "cos": "cos theta_r",
-               "coscos": "cos theta_i cos theta_r"}[found.weights]  # fmt: skip
     click.echo(
         f"{found.n_samples} samples, {len(found.groups)} incidences{_cuts(found)}; "
-        f"weights: {weights}"
+        f"weights: {WEIGHTS[found.weights]}"
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("model", overflow="fold")

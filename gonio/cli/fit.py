@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.measured import WEIGHTS, read_samples, sample_options
 from gonio.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -20,25 +21,7 @@ if TYPE_CHECKING:
 @click.command(name="fit")
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.option("--model", "model_name", required=True, metavar="MODEL", help="Model to fit.")
-@click.option(
-    "--weights",
-    type=click.Choice(["sd", "none", "cos", "coscos"]),
-    help="What each residual is multiplied by: one over its uncertainty (sd, where known), 1, "
-    "cos theta_r, or cos theta_i cos theta_r.",
-)
-@click.option(
-    "--select",
-    "selections",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Use part of a file: wavelength=650 (nm) or channel=NAME.",
-)
-@click.option(
-    "--max-theta-i", type=click.FloatRange(0, 90), metavar="DEG", help="Largest incidence angle."
-)
-@click.option(
-    "--max-theta-r", type=click.FloatRange(0, 90), metavar="DEG", help="Largest viewing angle."
-)
+@sample_options
 @click.option(
     "--start",
     "starts",
@@ -96,19 +79,9 @@ def command(
     start = _starts(model, starts) if starts else None
     if output is not None:
         check_target(output)
-    samples = _read(source, _pairs(selections), threads)
-    radians = [
-        None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
-    ]
-    samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
-    _one_channel(source, samples)
+    samples, cuts = read_samples(source, selections, max_theta_i, max_theta_r, threads)
     known = _truth(source if truth is None else truth, model, samples, asked=truth is not None)
     draws = output.with_suffix(".draws.nc") if posterior and output is not None else None
-    cuts = {
-        "select": dict(_pairs(selections)),
-        "max_theta_i_deg": max_theta_i,
-        "max_theta_r_deg": max_theta_r,
-    }
 
     def run(callback: Any = None) -> FitResult:
         return fit(
@@ -149,50 +122,6 @@ def _starts(model: Model, items: tuple[str, ...]) -> dict[str, float]:
     except ConfigurationError as error:
         text = str(error).replace("-p ", "--start ")
         raise ConfigurationError(text, value=error.value) from None
-
-
-def _pairs(selections: tuple[str, ...]) -> dict[str, str]:
-    pairs = {}
-    for item in selections:
-        key, equals, value = item.partition("=")
-        if not (equals and key.strip() and value.strip()):
-            raise ConfigurationError(
-                f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
-            )
-        pairs[key.strip()] = value.strip()
-    return pairs
-
-
-def _read(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
-    """Samples from a session folder or from a file."""
-    from gonio import formats
-
-    if not source.is_dir():
-        return formats.read(source, select=select)
-    from gonio.calibration.reduction import reduce
-    from gonio.cli.progress import progress
-    from gonio.session import Session
-
-    session = Session.open(source)
-    session.require_complete()
-    with progress(f"reducing {source.name or source}", "images") as callback:
-        samples = reduce(session, threads=threads, progress=callback)
-    return formats.choose(samples, select) if select else samples
-
-
-def _one_channel(source: Path, samples: BRDFSamples) -> None:
-    """One BRDF at a time: refuse samples of several wavelengths or channels."""
-    for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
-        if column is None:
-            continue
-        values = sorted(set(column.tolist()))
-        if len(values) > 1:
-            shown = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values[:40])
-            raise ConfigurationError(
-                f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
-                f"of {shown}.",
-                value=values,
-            )
 
 
 def _truth(
@@ -256,8 +185,6 @@ def _tell(
     from rich.console import Console
     from rich.table import Table
 
-    weights = {"sd": "1/uncertainty", "none": "equal", "cos": "cos theta_r",
-               "coscos": "cos theta_i cos theta_r"}[result.weights]  # fmt: skip
     cuts = [
         f"{name} <= {limit:g} deg"
         for name, limit in (
@@ -270,7 +197,7 @@ def _tell(
     click.echo(f"{model.title} ({model.reference})")
     click.echo(
         f"{result.n_samples} samples" + (f" with {', '.join(cuts)}" if cuts else "")
-        + f"; weights: {weights}"
+        + f"; weights: {WEIGHTS[result.weights]}"
     )  # fmt: skip
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("parameter")

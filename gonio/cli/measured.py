@@ -1,0 +1,127 @@
+"""The samples that a command works on: from a session or a file, one channel, cut as asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from gonio.samples import BRDFSamples
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+WEIGHTS = {
+    "sd": "1/uncertainty",
+    "none": "equal",
+    "cos": "cos theta_r",
+    "coscos": "cos theta_i cos theta_r",
+}
+
+_OPTIONS = (
+    click.option(
+        "--weights",
+        type=click.Choice(list(WEIGHTS)),
+        help="What each residual is multiplied by: one over its uncertainty (sd, where known), 1, "
+        "cos theta_r, or cos theta_i cos theta_r.",
+    ),
+    click.option(
+        "--select",
+        "selections",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Use part of a file: wavelength=650 (nm) or channel=NAME.",
+    ),
+    click.option(
+        "--max-theta-i",
+        type=click.FloatRange(0, 90),
+        metavar="DEG",
+        help="Largest incidence angle.",
+    ),
+    click.option(
+        "--max-theta-r", type=click.FloatRange(0, 90), metavar="DEG", help="Largest viewing angle."
+    ),
+)
+
+
+def sample_options(command: F) -> F:
+    """Options --weights, --select, --max-theta-i and --max-theta-r, in this order."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def read_samples(
+    source: Path,
+    selections: tuple[str, ...],
+    max_theta_i: float | None,
+    max_theta_r: float | None,
+    threads: int | None,
+) -> tuple[BRDFSamples, dict[str, Any]]:
+    """Samples of one channel within the angles (degrees), and the cuts as a result states them.
+
+    Raises
+    ------
+    ConfigurationError
+        If a selection is not KEY=VALUE, or several channels or wavelengths are left.
+    DataError
+        If the source cannot be read, or no sample is left.
+    """
+    select = _pairs(selections)
+    samples = _read(source, select, threads)
+    radians = [
+        None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
+    ]
+    samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
+    _require_one_channel(source, samples)
+    cuts = {"select": select, "max_theta_i_deg": max_theta_i, "max_theta_r_deg": max_theta_r}
+    return samples, cuts
+
+
+def _pairs(selections: tuple[str, ...]) -> dict[str, str]:
+    pairs = {}
+    for item in selections:
+        key, equals, value = item.partition("=")
+        if not (equals and key.strip() and value.strip()):
+            raise ConfigurationError(
+                f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
+            )
+        pairs[key.strip()] = value.strip()
+    return pairs
+
+
+def _read(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
+    """Samples from a session folder or from a file."""
+    from gonio import formats
+
+    if not source.is_dir():
+        return formats.read(source, select=select)
+    from gonio.calibration.reduction import reduce
+    from gonio.cli.progress import progress
+    from gonio.session import Session
+
+    session = Session.open(source)
+    session.require_complete()
+    with progress(f"reducing {source.name or source}", "images") as callback:
+        samples = reduce(session, threads=threads, progress=callback)
+    return formats.choose(samples, select) if select else samples
+
+
+def _require_one_channel(source: Path, samples: BRDFSamples) -> None:
+    """One BRDF at a time: refuse samples of several wavelengths or channels."""
+    for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
+        if column is None:
+            continue
+        values = sorted(set(column.tolist()))
+        if len(values) > 1:
+            shown = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values[:40])
+            raise ConfigurationError(
+                f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
+                f"of {shown}.",
+                value=values,
+            )

@@ -106,41 +106,6 @@ def solid_angle_ratio(theta_c: ArrayLike, phi_c: ArrayLike, *, R: float, D: floa
     return np.asarray((R * R - D * p_y) / (R * R + D * p_y) * (r_c / r_t) ** 3)
 
 
-def mapping_error(w_r: FloatArray, *, R: float, D: float, shape: Shape) -> FloatArray:
-    """Size and direction of what eq. (3) leaves out, to leading order in D/R.
-
-    Parameters
-    ----------
-    w_r : ndarray, shape (..., 3)
-        Reflected directions by eq. (3).
-    R, D : float
-        As in `reflected_angles`.
-    shape : {"sphere", "ellipsoid"}
-        Shape of the dome.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Tangent vectors, radians: (D/R)^2 sin(2 gamma) on a sphere, (D/R)^3 cos^2(gamma)
-        sin(gamma) on the ellipsoid with foci in camera and target, gamma being the angle to the
-        y axis; along the meridian through that axis.
-
-    Notes
-    -----
-    The scale of the error, in a closed form. The reduction takes the difference of the two
-    mappings themselves, which holds for any pupil.
-    """
-    epsilon = D / R
-    # gamma belongs to the point P of the dome as seen from its centre; the direction from T
-    # differs from it by D/R, which matters where the error passes through zero.
-    point = _range(w_r[..., 1:2], R, -D) * w_r + np.array([0.0, D, 0.0])
-    s = point[..., 1:2] / np.linalg.norm(point, axis=-1, keepdims=True)
-    tangent = np.array([0.0, 1.0, 0.0]) - w_r[..., 1:2] * w_r
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-12)
-    amplitude = 2 * epsilon**2 * s if shape == "sphere" else epsilon**3 * s * s
-    return np.asarray(amplitude * np.sqrt(1 - s * s) * tangent)
-
-
 def reflected_directions(
     pupil: FloatArray,
     w_c: FloatArray,

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from eq3_theory import mapping_error
 from scipy.ndimage import gaussian_filter
 from virtual import DOME, images, small
 
 from gonio import models
 from gonio.calibration.exposure import Rate, merge
 from gonio.calibration.mapping import PixelMap
-from gonio.calibration.reflector import mapping_error
 from gonio.calibration.standard import brdf, irradiance_ratio, reference, standard_brdf
 from gonio.geometry import angles, unit_vectors
 from gonio.instrument import Instrument, imaging

@@ -4,11 +4,11 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from eq3_theory import mapping_error
 from scipy.optimize import brentq, root
 
 from gonio.calibration.reflector import (
     camera_angles,
-    mapping_error,
     reflected_angles,
 )
 from gonio.geometry import angles, hemisphere_quadrature, unit_vectors

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from eq3_theory import mapping_error
 
 from gonio.calibration.reflector import (
     camera_angles,
-    mapping_error,
     reflected_angles,
     solid_angle_ratio,
 )

@@ -259,7 +259,7 @@ def compare(
         entries=entries,
         conclusion=_conclusion(entries),
         noise_scale=reference.noise_scale,
-        noise_model=reference.problem.model.name,
+        noise_model=reference.problem.name,
         n_samples=len(samples),
         weights=reference.problem.weights,
         seed=seed,
@@ -291,7 +291,7 @@ def _require_noise(reference: Minimum) -> None:
     size = np.sqrt(np.mean(problem.samples.value**2 * problem.inverse_variance))
     if reference.noise_scale <= EXACT * size:
         raise DataError(
-            f"{problem.model.name} leaves no residuals and the samples state no uncertainty: there "
+            f"{problem.name} leaves no residuals and the samples state no uncertainty: there "
             "is no noise to judge the other models by; give u_brdf."
         )
 
@@ -331,9 +331,9 @@ def _judged(
     draws = criteria.draw(problem, optimum, reference.noise_scale, some, rng)
     by_sample, k_hat = _leave_one_out(draws, notes)
     evidence = _evidence(minimum, errors, draws, notes)
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     entry = Entry(
-        model=problem.model.name,
+        model=problem.name,
         status=minimum.status,
         n_parameters=len(parameters),
         chi2=minimum.chi2,
@@ -365,10 +365,10 @@ def _held_out(
     if len(groups) < criteria.MIN_GROUPS:
         return None  # said once for all models
     left = problem.n - max(len(group) for group in groups)
-    if left <= len(problem.model.parameters):
+    if left <= len(problem.parameters):
         notes.append(
             f"no held-out score: without the largest incidence {left} samples are left for "
-            f"{len(problem.model.parameters)} parameters."
+            f"{len(problem.parameters)} parameters."
         )
         return None
     found = criteria.held_out(problem, minimum.optimum, groups, noise_scale)
@@ -405,7 +405,7 @@ def _evidence(
     minimum: Minimum, errors: Uncertainty, draws: criteria.Draws, notes: list[str]
 ) -> tuple[float, float] | None:
     """Log evidence and its error, or None with the reason among the notes."""
-    parameters = minimum.problem.model.parameters
+    parameters = minimum.problem.parameters
     reason = None
     if minimum.status != "converged" or not minimum.optimum.verified:
         reason = "the fit did not converge"
@@ -514,7 +514,7 @@ def _notes(reference: Minimum, groups: list[criteria.Index], n_loo: int) -> list
         if problem.weights == "sd"
         else f"the scatter of its weighted residuals, {reference.noise_scale:.4g} sr^-1"
     )
-    text = f"all models are judged with the noise of {problem.model.name}, which fits best: {unit}."
+    text = f"all models are judged with the noise of {problem.name}, which fits best: {unit}."
     if not _fits_to_the_noise(reference):
         text += (
             " Misfit counts as noise in it: scores of single samples and evidence are then too "

@@ -108,7 +108,7 @@ def held_out(
         f, jac = problem.jacobian(refit.p)
         root = known_directions(refit, noise_scale)
         columns = [jac[group] @ root]
-        gain = root @ root.T / noise_scale**2 @ (jac * problem.inverse_variance[:, None]).T
+        gain = root @ root.T / noise_scale**2 @ problem.weighted(jac).T
         for name, term in zip(names, problem.samples.shared, strict=True):
             change = uncertainty.shared_change(problem, term, refit.p, f)
             column = _unseen(change, term.group, group, rest, jac, gain)
@@ -124,7 +124,7 @@ def held_out(
 
 def _held_at_bounds(problem: Problem, optimum: Optimum) -> Problem:
     """The problem with what was put on its lower bound against the slope held there."""
-    for j, q in enumerate(problem.model.parameters):
+    for j, q in enumerate(problem.parameters):
         if optimum.p[j] <= q.lower and optimum.gradient[j] > 0:
             problem = pinned_at(problem, j, q.lower)
     return problem
@@ -230,7 +230,7 @@ def draw(
         Samples whose own log-likelihood is wanted.
     rng : Generator
     """
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     n = int(np.clip(MEMBER_BUDGET // len(problem.cells.weight), MIN_DRAWS, DRAWS))
     root = known_directions(optimum, noise_scale)
     z = rng.standard_normal((n, root.shape[1]))

@@ -220,7 +220,7 @@ def _find(
 ) -> tuple[Problem, Optimum, list[str]]:
     """The deepest minimum found, the problem with its weights, and what to know about it."""
     if start is not None:
-        candidates = [problem.model.vector(start)]
+        candidates = [problem.vector(start)]
     else:
         candidates = optimise.starts(problem)
     problem, optimum = _settled(problem, optimise.minimise(problem, candidates[0]))
@@ -258,7 +258,7 @@ def _rival(problem: Problem, optimum: Optimum, other: Optimum) -> list[str]:
         return []
     place = ", ".join(
         f"{q.name} = {q.to_file(float(v)):.4g}"
-        for q, v in zip(problem.model.parameters, other.p, strict=True)
+        for q, v in zip(problem.parameters, other.p, strict=True)
     )
     return [f"the data hardly prefer this minimum to another one at {place}."]
 
@@ -271,7 +271,7 @@ def _without_spikes(problem: Problem, optimum: Optimum) -> tuple[Optimum, list[s
     """
     noise = max(_goodness(problem, optimum)[2], 1e-300)
     expected = 2 * np.log(problem.n)
-    for j, q in enumerate(problem.model.parameters):
+    for j, q in enumerate(problem.parameters):
         if not (q.linear and optimum.free[j]):
             continue
         null = optimise.at_lower(problem, optimum, j)
@@ -291,7 +291,7 @@ def _without_undetected(
     """Parameters of a lobe whose amplitude may be zero have no uncertainty."""
     determined = errors.determined.copy()
     warnings = []
-    for j, q in enumerate(problem.model.parameters):
+    for j, q in enumerate(problem.parameters):
         sd = np.sqrt(errors.covariance[j, j])
         if not (q.linear and errors.determined[j] and optimum.p[j] - q.lower < 4 * sd):
             continue
@@ -299,7 +299,7 @@ def _without_undetected(
         lost = (np.diag(null.curvature) <= 0) & determined
         gain = max(null.chi2 - optimum.chi2, 0.0) / max(errors.noise_scale, 1e-300) ** 2
         if gain < CHI2_95 and lost.any():
-            names = [r.name for k, r in enumerate(problem.model.parameters) if lost[k]]
+            names = [r.name for k, r in enumerate(problem.parameters) if lost[k]]
             determined[lost] = False
             warnings.append(
                 f"{q.name} may as well be {q.to_file(q.lower):.4g} (chi2 grows by {gain:.2g}): "
@@ -335,7 +335,7 @@ def _estimates(
         for q in ((1 + level) / 2 for level in LEVELS)
     ]
     estimates, warnings = {}, []
-    for j, q in enumerate(problem.model.parameters):
+    for j, q in enumerate(problem.parameters):
         value = float(optimum.p[j])
         if value in (q.lower, q.upper):
             estimates[q.name], text = _at_bound(problem, optimum, j, errors.noise_scale)
@@ -365,7 +365,7 @@ def _inside(
     Where an end of an interval leaves the bounds the curvature is no guide any more: that end is
     looked for on the profile of chi-squared.
     """
-    q = problem.model.parameters[j]
+    q = problem.parameters[j]
     value = float(optimum.p[j])
     stderr = float(np.sqrt(errors.covariance[j, j]))
     intervals = []
@@ -395,7 +395,7 @@ def _inside(
 
 def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple[Estimate, str]:
     """A parameter at its bound: one-sided limits from the profile of chi-squared, no stderr."""
-    q = problem.model.parameters[j]
+    q = problem.parameters[j]
     value = float(optimum.p[j])
     at_bound: Literal["lower", "upper"] = "lower" if value == q.lower else "upper"
     side = 1 if at_bound == "lower" else -1
@@ -474,7 +474,7 @@ def _warnings(
     if not optimum.verified:
         warnings.append("the minimum was not reached: the next step would still change the fit.")
     warnings += [
-        f"the derivative by {name} that {problem.model.name} gives is not that of its formula: "
+        f"the derivative by {name} that {problem.name} gives is not that of its formula: "
         "the fit cannot be trusted until the model's kernel is mended."
         for name in faults
     ]

@@ -60,7 +60,7 @@ def starts(problem: Problem, n: int = STARTS) -> list[FloatArray]:
 
     The linear parameters are solved for at each point of the grid, inside their bounds.
     """
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     coarse = problem.subset(SUBSET)
     nonlinear = [j for j, q in enumerate(parameters) if not q.linear]
     scored: list[tuple[float, FloatArray]] = []
@@ -109,7 +109,7 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
     The derivatives of a few samples are compared with central differences; a wrong one moves the
     point at which the fit stops and believes itself at the minimum.
     """
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     _, jac = problem.jacobian(p)
     weighted = np.abs(jac) * np.sqrt(problem.inverse_variance)[:, None]
     strongest = np.argpartition(weighted, -min(4, problem.n), axis=0)[-min(4, problem.n) :]
@@ -136,7 +136,7 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
 
 def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
     """The minimum with parameter j on its lower bound; verified as one of the other parameters."""
-    q = problem.model.parameters[j]
+    q = problem.parameters[j]
     pinned = minimise(pinned_at(problem, j, q.lower), optimum.p, search=False)
     p = np.where(np.arange(len(optimum.p)) == j, q.lower, pinned.p)
     chi2, g, h = problem.normal_equations(p)
@@ -146,9 +146,9 @@ def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
 
 def pinned_at(problem: Problem, j: int, value: float) -> Problem:
     """The problem with parameter j held at a value."""
-    parameters = list(problem.model.parameters)
+    parameters = list(problem.parameters)
     parameters[j] = replace(parameters[j], lower=value, upper=value, scale="linear", linear=False)
-    return replace(problem, model=replace(problem.model, parameters=tuple(parameters)))
+    return problem.with_parameters(tuple(parameters))
 
 
 def _followed(problem: Problem, start: FloatArray, evaluations: int = 0) -> Optimum:
@@ -164,7 +164,7 @@ def _linear_solved(problem: Problem, p: FloatArray) -> tuple[float, FloatArray]:
     """
     from scipy.optimize import lsq_linear
 
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     linear = [j for j, q in enumerate(parameters) if q.linear]
     chi2, g, h = problem.normal_equations(p)
     scale = np.sqrt(np.diag(h)[linear])
@@ -232,7 +232,7 @@ def _slsqp(problem: Problem, start: FloatArray) -> tuple[FloatArray, int]:
     """nlopt LD_SLSQP on chi2 / chi2(start): unscaled, SLSQP stops after one step."""
     import nlopt
 
-    scale = _Scale(problem.model.parameters)
+    scale = _Scale(problem.parameters)
     best = (np.inf, start)
     reference = max(problem.chi2(start), 1e-300)
     evaluations = 1
@@ -277,7 +277,7 @@ def _polish(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
 
 
 def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     lower = np.array([q.lower for q in parameters])
     upper = np.array([q.upper for q in parameters])
     p = np.clip(p, lower, upper)
@@ -315,7 +315,7 @@ def _snapped(
 ) -> tuple[FloatArray, float, FloatArray, FloatArray]:
     """Parameters a hair from a bound are put on it where chi2 does not mind."""
     size = np.sum(problem.samples.value**2 * problem.inverse_variance)
-    for j, q in enumerate(problem.model.parameters):
+    for j, q in enumerate(problem.parameters):
         hair = NEAR_BOUND * (q.upper - q.lower)
         for bound in (q.lower, q.upper):
             if 0 < abs(p[j] - bound) <= hair:
@@ -333,7 +333,7 @@ def _free(p: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) ->
 
 def _noise(problem: Problem, chi2: float) -> float:
     """Root mean square of the weighted residuals, never 0."""
-    return float(np.sqrt(max(chi2 / max(problem.n - len(problem.model.parameters), 1), 1e-300)))
+    return float(np.sqrt(max(chi2 / max(problem.n - len(problem.parameters), 1), 1e-300)))
 
 
 def _distance(
@@ -352,7 +352,7 @@ def _deeper_nearby(problem: Problem, optimum: Optimum) -> tuple[FloatArray | Non
     index = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
     if len(index) == 0:
         return None, 0
-    parameters = problem.model.parameters
+    parameters = problem.parameters
     bounds = [np.array([getattr(q, end) for q in parameters]) for end in ("lower", "upper")]
     scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
     values, vectors = np.linalg.eigh(

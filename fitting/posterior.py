@@ -163,8 +163,8 @@ class _Likelihood:
         self.w_r = np.ascontiguousarray(w_r)
         self.mode = mode
         self.factor = self._factors()
-        self.lower = np.array([q.lower for q in problem.model.parameters])
-        self.upper = np.array([q.upper for q in problem.model.parameters])
+        self.lower = np.array([q.lower for q in problem.parameters])
+        self.upper = np.array([q.upper for q in problem.parameters])
 
     def _factors(self) -> FloatArray:
         """Integral over the cell by value at its centre, and its derivatives, (N, 1 + P)."""
@@ -331,7 +331,7 @@ def _proposal_root(problem: Problem, optimum: Optimum, errors: Uncertainty) -> F
     """
     n_p = len(optimum.p)
     covariance = errors.independent.copy()
-    for j, q in enumerate(problem.model.parameters):
+    for j, q in enumerate(problem.parameters):
         if not errors.determined[j]:
             widest = (q.upper - q.lower) / 3
             information = optimum.curvature[j, j] / errors.noise_scale**2
@@ -363,6 +363,6 @@ def _with_shared(
     draws = walkers.copy()
     for moves in errors.shared.values():
         draws += rng.standard_normal((*walkers.shape[:2], len(moves))) @ moves
-    lower = [q.lower for q in problem.model.parameters]
-    upper = [q.upper for q in problem.model.parameters]
+    lower = [q.lower for q in problem.parameters]
+    upper = [q.upper for q in problem.parameters]
     return np.clip(draws, lower, upper)

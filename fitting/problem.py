@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import FloatArray
 from gonio.kernels import map_blocks
-from gonio.models import Model
+from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells
 
 Weights = Literal["none", "cos", "coscos", "sd"]
@@ -96,6 +97,24 @@ class Problem:
         """Number of samples."""
         return len(self.samples)
 
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+        return self.model.name
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is fitted, in the order of every parameter vector."""
+        return self.model.parameters
+
+    def vector(self, values: Mapping[str, float]) -> FloatArray:
+        """Checked parameter vector, defaults filled in."""
+        return self.model.vector(values)
+
+    def with_parameters(self, parameters: tuple[Parameter, ...]) -> Problem:
+        """The problem with other bounds of its parameters."""
+        return replace(self, model=replace(self.model, parameters=parameters))
+
     def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
         """Variance of each sample where its expectation is f, or as stated.
 
@@ -175,12 +194,16 @@ class Problem:
         """chi2, J^T W r and J^T W J at p."""
         f, jac = self.jacobian(p)
         r = self.samples.value - f
-        weighted = jac * self.inverse_variance[:, None]
+        weighted = self.weighted(jac)
         return (
             float(np.sum(r * r * self.inverse_variance)),
             weighted.T @ r,
             weighted.T @ jac,
         )
+
+    def weighted(self, columns: FloatArray) -> FloatArray:
+        """Columns (N, k) times the inverse covariance of the samples."""
+        return columns * self.inverse_variance[:, None]
 
     def at(self, index: NDArray[np.int64]) -> Problem:
         """The problem of these samples alone, with their cells and weights."""

@@ -72,7 +72,7 @@ def evaluate(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncertai
     shared = {}
     if problem.samples.shared:
         f, jac = problem.jacobian(optimum.p)
-        gain = inverse @ (jac * problem.inverse_variance[:, None]).T
+        gain = inverse @ problem.weighted(jac).T
         for term in problem.samples.shared:
             shared[term.name] = _moves(problem, term, optimum.p, f, gain)
     return Uncertainty(determined, inverse * noise_scale**2, noise_scale, shared)
@@ -168,7 +168,7 @@ def profile_limit(
     side : {1, -1}
         +1 upwards, -1 downwards.
     """
-    parameter = problem.model.parameters[j]
+    parameter = problem.parameters[j]
     near, far = float(optimum.p[j]), parameter.upper if side > 0 else parameter.lower
 
     def excess(value: float) -> float:

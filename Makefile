@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint types doctest docs copy constraints bench clean
+.PHONY: help demo test lint types doctest docs copy constraints bench papers clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 14
@@ -48,6 +48,9 @@ test: $(INSTALLED)  ## run the tests
 
 bench: $(INSTALLED)  ## time the loops against numpy and other programs, BENCH='--only peers' some
 	$(BIN)/python -m benchmarks $(BENCH)
+
+papers: $(INSTALLED)  ## every table and figure of the papers anew, and the table of agreement
+	$(BIN)/python notebooks/run.py $(PAPERS)
 
 lint: $(INSTALLED)  ## check style and formatting with ruff
 	$(BIN)/ruff check .
@@ -88,5 +91,5 @@ constraints:  ## write constraints.txt anew from pyproject.toml
 	mv build/pinned.txt constraints.txt
 
 clean:  ## remove everything that make has made
-	rm -rf $(VENV) build dist demo docs/_generated *.egg-info
+	rm -rf $(VENV) build dist demo docs/_generated notebooks/.results *.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis

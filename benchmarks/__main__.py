@@ -26,6 +26,9 @@ SECTIONS = {
     "kernels": "benchmarks.kernels",
     "integral": "benchmarks.oren_nayar_numeric",
     "frames": "benchmarks.frames",
+    "fits": "benchmarks.fits",
+    "posteriors": "benchmarks.posteriors",
+    "texels": "benchmarks.texels",
     "peers": "benchmarks.peers",
 }
 

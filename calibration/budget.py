@@ -1,8 +1,9 @@
 """The uncertainty budget of BRDF samples, as metrologists write it (GUM, JCGM 100).
 
 Every source with what it does to f, sample by sample. Errors of direction act through the slope of
-f, which is taken from the neighbouring samples of the image; a blur acts through its curvature,
-which samples do not hold well enough, and is left to the fit.
+f, which is taken from the neighbouring samples of the image; a blur acts through its curvature and
+a turn of the sample through both directions at once, which samples do not hold well enough: they
+are left to the fit.
 """
 
 from __future__ import annotations
@@ -175,6 +176,8 @@ def budget(samples: BRDFSamples) -> Budget:
         if term.shift is not None:
             slopes = slopes or _Slopes(samples)
             acts, u = "turns", slopes.change(term.shift)
+        elif term.turn > 0:
+            acts, u = "turns", None
         elif term.blur > 0:
             acts, u = "blurs", None
         elif term.offset is not None:

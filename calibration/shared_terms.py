@@ -10,12 +10,21 @@ from numpy.typing import NDArray
 from gonio.calibration.light_terms import light_terms, unknown_light
 from gonio.calibration.mapping import PixelMap, across, error_modes, left_out
 from gonio.geometry import FloatArray, rotated
-from gonio.metadata import LampRecord, Metadata
+from gonio.metadata import LampRecord, Limits, Metadata
 from gonio.samples import SharedTerm
 
 if TYPE_CHECKING:
     from gonio.calibration.reduction import Part
 
+# Name and meaning of what slope errors do to a lobe, the component of the shift (0 in the plane of
+# incidence, 1 across) and the axis along which it grows; None: alike all over.
+_SLOPES: tuple[tuple[str, str, int, int | None], ...] = (
+    ("shift", "moves the lobe", 0, None),
+    ("in plane", "stretches the lobe in the plane of incidence", 0, 0),
+    ("across", "stretches the lobe across the plane of incidence", 1, 1),
+    ("shear in plane", "shears the lobe along the plane of incidence", 0, 1),
+    ("shear across", "shears the lobe across the plane of incidence", 1, 0),
+)
 ASSUMED_CONE = 0.1  # relative uncertainty of a half-angle of the lamp that states none
 
 
@@ -41,6 +50,7 @@ def shared_terms(
     terms = _geometry_terms(seen, parts)
     terms += _source_terms(metadata.lamp)
     terms += _slope_terms(metadata, parts, incidence)
+    terms += _azimuth_terms(metadata.limits)
     terms += light_terms(metadata, parts, image, incidence)
     return tuple(terms)
 
@@ -54,6 +64,8 @@ def unknown(metadata: Metadata, seen: PixelMap) -> tuple[str, ...]:
         found.append("the lamp's cone (lamp.half_angle_deg)")
     if metadata.limits.slope_error_deg is None:
         found.append("slope errors of the dome (limits.slope_error_deg)")
+    if metadata.limits.u_azimuth_deg is None:
+        found.append("azimuth of the sample (limits.u_azimuth_deg)")
     return (*found, *unknown_light(metadata))
 
 
@@ -61,6 +73,8 @@ def notes(metadata: Metadata, seen: PixelMap) -> tuple[str, ...]:
     """What the geometry's terms rest on, for the history: what is unknown, what is assumed."""
     unknown = [name for name in ("geometry", "lens") if name not in seen.uncertain]
     lines = []
+    if metadata.limits.u_azimuth_deg is None:
+        lines.append("azimuth of the sample: uncertainty unknown, not included")
     if unknown:
         lines.append(f"uncertainty of the {' and of the '.join(unknown)}: unknown, not included")
     angle, u = metadata.lamp.half_angle_deg, metadata.lamp.u_half_angle_deg
@@ -117,46 +131,56 @@ def _source_terms(lamp: LampRecord) -> list[SharedTerm]:
     return [SharedTerm("source cone", "half-angle of the lamp's cone", blur=blur)]
 
 
+def _azimuth_terms(limits: Limits) -> list[SharedTerm]:
+    """How far the zero of the sample's rotation may be off: one turn for all images."""
+    if not limits.u_azimuth_deg:
+        return []
+    turn = float(np.radians(limits.u_azimuth_deg))
+    return [SharedTerm("azimuth", "azimuth at which the sample lies", turn=turn)]
+
+
 def _slope_terms(
     metadata: Metadata, parts: list[Part], incidence: NDArray[np.int64]
 ) -> list[SharedTerm]:
     """What unknown, smooth slope errors of the dome do to a lobe.
 
-    They shift directions by 2 e, alike over a correlation length L: a lobe is moved as a whole and
-    stretched by 2 e / L, in the plane of incidence and across. Incidences L apart see other parts
-    of the dome; rotations of the sample at one incidence see the same.
+    They shift directions by 2 e, alike over a correlation length L: a lobe is moved as a whole, and
+    stretched and sheared by 2 e / L. Along the plane of incidence and across it e has two
+    components and each of them two slopes, all independent; a sample turned by 45 deg shows the
+    shears as a stretch. Incidences L apart see other parts of the dome; rotations of the sample at
+    one incidence see the same.
     """
     limits = metadata.limits
     slope, rim_slope = limits.slope_error_deg or 0.0, limits.rim_slope_error_deg or 0.0
     if not (slope or rim_slope):
         return []
     reach = np.radians(limits.slope_correlation_deg)
-    moved: list[FloatArray] = []
-    stretched: list[FloatArray] = []
-    across: list[FloatArray] = []
+    found: list[list[FloatArray]] = [[] for _ in _SLOPES]
     for part in parts:
         rim = (part.theta_i / (np.pi / 2)) ** 6
         size = 2 * np.radians(slope + rim_slope * rim)
         mirror = np.array([-np.sin(part.theta_i), 0.0, np.cos(part.theta_i)])
         axes = (np.array([np.cos(part.theta_i), 0.0, np.sin(part.theta_i)]), np.array([0, 1.0, 0]))
         lab = rotated(part.centroid, -part.psi)
-        shifts = [size * axes[0] * np.ones((len(lab), 1))]
-        for axis in axes:
-            # Beyond L the error is another one: it grows no further.
-            distance = np.clip((lab - mirror) @ axis, -reach, reach)
-            shifts.append(size / reach * distance[:, None] * axis)
-        for kept, shift in zip((moved, stretched, across), shifts, strict=True):
+        # Beyond L the error is another one: it grows no further. A stretch that fell off as the
+        # correlation does would leave the finer shapes out, and with them half of alpha's error.
+        distance = [np.clip((lab - mirror) @ axis, -reach, reach) / reach for axis in axes]
+        for kept, (_, _, component, slope_along) in zip(found, _SLOPES, strict=True):
+            grows = np.ones(len(lab)) if slope_along is None else distance[slope_along]
+            shift = size * grows[:, None] * axes[component]
             # Only the part across the direction turns it.
             shift = shift - np.sum(shift * lab, axis=1, keepdims=True) * lab
             kept.append(rotated(shift, part.psi))
     theta_i = np.radians(metadata.plan.theta_i_deg)
     # The dome is the same in every channel, whose incidences are counted on.
     group = np.floor(theta_i / reach).astype(np.int64)[incidence % len(theta_i)]
-    meanings = ("moves the lobe", "stretches the lobe in the plane of incidence", "and across it")
-    names = ("dome slope, shift", "dome slope, in plane", "dome slope, across")
     return [
         SharedTerm(
-            name, f"slope errors of the dome: {meaning}", group=group, shift=np.concatenate(s)
+            f"dome slope, {name}",
+            f"slope errors of the dome: {meaning}",
+            group=group,
+            shift=np.concatenate(shift),
+            typical=True,
         )
-        for name, meaning, s in zip(names, meanings, (moved, stretched, across), strict=True)
+        for shift, (name, meaning, _, _) in zip(found, _SLOPES, strict=True)
     ]

@@ -23,6 +23,8 @@ mpl.use("Agg")
 import angles  # noqa: E402
 import command_pages  # noqa: E402
 import model_pages  # noqa: E402
+import notebook_pages  # noqa: E402
+import render_pictures  # noqa: E402
 
 import gonio  # noqa: E402
 
@@ -32,7 +34,7 @@ version = release = gonio.__version__
 html_title = f"gonio {version}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "console"]
-exclude_patterns = ["_ext", "recovery"]
+exclude_patterns = ["_ext", "recovery", "papers"]
 nitpicky = True
 # A name in backquotes may be a parameter or a field, which have no place to link to.
 nitpick_ignore_regex = [("py:obj", ".*")]
@@ -61,12 +63,14 @@ ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.m
 def generate(app: Any) -> None:
     """Write everything below docs/_generated anew."""
     shutil.rmtree(GENERATED, ignore_errors=True)
-    for name in ("models", "commands", "python"):
+    for name in ("models", "commands", "python", "papers", "render"):
         (GENERATED / name).mkdir(parents=True)
     model_pages.write(GENERATED / "models", (HERE / "errata.md").read_text(encoding="utf-8"))
     command_pages.write_commands(GENERATED / "commands")
     command_pages.write_python(GENERATED / "python")
+    notebook_pages.write(GENERATED / "papers", ROOT / "notebooks", HERE / "papers")
     angles.draw(GENERATED / "angles.png")
+    render_pictures.write(GENERATED / "render")
     for source, target in ROOT_PAGES.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         (GENERATED / target).write_text(text.replace("](docs/", "](../"), encoding="utf-8")

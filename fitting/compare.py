@@ -243,7 +243,13 @@ def compare(
     minima = []
     for model in chosen:
         minima.append(find_minimum(samples, model, weights=weights, threads=threads))
-    reference = min(minima, key=lambda m: m.chi2 / m.dof)
+    # Of two that fit alike to rounding, whatever their order, the smaller model.
+    reference = min(
+        minima,
+        key=lambda m: (
+            float(f"{m.chi2 / m.dof:.10g}"), len(m.problem.parameters), m.problem.name
+        ),
+    )  # fmt: skip
     _require_noise(reference)
     groups = criteria.incidence_groups(np.broadcast_to(samples.directions.theta_i, len(samples)))
     rng = np.random.default_rng(seed)

@@ -1,29 +1,35 @@
-"""Find the minimum: starts from the data, nlopt, and a Gauss-Newton polish inside the bounds."""
+"""Find the minimum: starts from the data, Gauss-Newton steps inside the bounds, and the checks."""
 
 from __future__ import annotations
 
-import contextlib
-import itertools
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting import scan
 from gonio.fitting.problem import Problem
 from gonio.geometry import FloatArray
-from gonio.models import Parameter
+from gonio.kernels import boxed
+from gonio.kernels.boxed import next_point
 
-GRID = 9  # starting values along each nonlinear parameter
-SUBSET = 2000  # samples that choose among the starting values
+UNDETERMINED: float = boxed.UNDETERMINED  # smallest part of the curvature that is information
 STARTS = 2  # starting values that are followed to their minimum
-POLISH_STEPS = 150
-UNDETERMINED = 1e-10  # smallest eigenvalue of the scaled curvature that counts as information
+FIRST = 4000  # samples on which a start is followed before all are used
+POLISH_STEPS = 300
 STOP = 1e-5  # the polish ends where its next step is this part of the uncertainty
 VERIFIED = 1e-3  # a minimum is verified where it is this part
+SAME_PLACE = 0.1  # of the uncertainty: two ends that are nearer are one minimum
 ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
 NEAR_BOUND = 1e-6  # of the range: near enough to a bound to be put on it
 DEEPER = 1e-9  # relative difference of chi-squared that is not rounding
 SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient
+CHECKED = 12  # samples at which derivatives are compared
+
+# A way from a start to the neighbourhood of a minimum: the point and the passes over the data.
+Engine = Callable[[Problem, FloatArray], tuple[FloatArray, int]]
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,8 @@ class Optimum:
     verified : bool
         The next Gauss-Newton step is far below the uncertainties, and half a standard uncertainty
         away along every axis of the uncertainty ellipsoid chi-squared is larger.
+    limited : tuple of int
+        Reflectances whose sum would exceed 1 were it not held there; empty where it is not.
     """
 
     p: FloatArray
@@ -53,27 +61,23 @@ class Optimum:
     free: NDArray[np.bool_]
     evaluations: int
     verified: bool
+    limited: tuple[int, ...] = ()
 
 
 def starts(problem: Problem, n: int = STARTS) -> list[FloatArray]:
-    """The best n starting values of a coarse grid over the nonlinear parameters.
-
-    The linear parameters are solved for at each point of the grid, inside their bounds.
-    """
-    parameters = problem.parameters
-    coarse = problem.subset(SUBSET)
-    nonlinear = [j for j, q in enumerate(parameters) if not q.linear]
-    scored: list[tuple[float, FloatArray]] = []
-    for point in itertools.product(*(_grid(parameters[j]) for j in nonlinear)):
-        p = np.array([min(max(0.0, q.lower), q.upper) for q in parameters])
-        p[nonlinear] = point
-        scored.append(_linear_solved(coarse, p))
-    scored.sort(key=lambda item: item[0])
-    return [p for _, p in _distinct(scored, n)]
+    """The best n starting values, for which the data are searched (`scan.candidates`)."""
+    return scan.candidates(problem, n)
 
 
-def minimise(problem: Problem, start: FloatArray, *, search: bool = True) -> Optimum:
-    """Follow one start to its minimum: nlopt's SLSQP, then Gauss-Newton steps inside the bounds.
+def minimise(
+    problem: Problem,
+    start: FloatArray,
+    *,
+    search: bool = True,
+    near: bool = False,
+    engine: Engine | None = None,
+) -> Optimum:
+    """Follow one start to its minimum: an engine, then Gauss-Newton steps inside the bounds.
 
     Parameters
     ----------
@@ -82,15 +86,50 @@ def minimise(problem: Problem, start: FloatArray, *, search: bool = True) -> Opt
         Any point inside the bounds; the linear parameters are solved for there.
     search : bool
         Where the minimum lies on a bound, lacks curvature, or is not verified, follow the best
-        point of the coarse grid as well and keep the deeper minimum: chi-squared may be
+        starting value of the data as well and keep the deeper minimum: chi-squared may be
         stationary on a bound without a minimum there (f depends on sigma^2 only).
+    near : bool
+        The start is nearer to the minimum than that of a part of the samples is.
+    engine : callable, optional
+        What goes before the Gauss-Newton steps; nothing by default.
     """
-    optimum = _followed(problem, start)
+    optimum = _followed(problem, start, engine, near=near or not search)
     lobe_lost = np.any(np.diag(optimum.curvature) <= 0)
     if search and not (optimum.verified and optimum.free.all() and not lobe_lost):
-        other = _followed(problem, starts(problem, 1)[0], optimum.evaluations)
+        other = _followed(problem, starts(problem, 1)[0], engine)
         optimum = better(optimum, other)
     return optimum
+
+
+def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
+    """The minima to which the best starting values of the data lead, deepest first.
+
+    Of many samples a start is followed on some first, and on all only where it leads to another
+    place than a better one.
+    """
+    first = problem.subset(FIRST) if problem.n > 2 * FIRST else problem
+    ends: list[_State] = []
+    evaluations = 0
+    for start in starts(problem):
+        point = start
+        if engine is not None:
+            point, n = engine(problem, start)
+            evaluations += n
+        ends.append(_marquardt(first if engine is None else problem, point))
+    ends.sort(key=lambda end: end.chi2)
+    found: list[Optimum] = []
+    kept: list[_State] = []
+    for end in ends:
+        evaluations += end.evaluations
+        if any(_same_place(first, other, end) for other in kept):
+            continue
+        kept.append(end)
+        found.append(_polish(problem, end.p if end.problem is not problem else end, evaluations))
+        evaluations = 0
+    best = found[0]
+    for other in found[1:]:
+        best = better(best, other)
+    return [best, *(other for other in found if other is not best)]
 
 
 def better(first: Optimum, second: Optimum) -> Optimum:
@@ -110,11 +149,7 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
     point at which the fit stops and believes itself at the minimum.
     """
     parameters = problem.parameters
-    _, jac = problem.jacobian(p)
-    weighted = np.abs(jac) * np.sqrt(problem.inverse_variance)[:, None]
-    strongest = np.argpartition(weighted, -min(4, problem.n), axis=0)[-min(4, problem.n) :]
-    spread = np.linspace(0, problem.n - 1, min(8, problem.n)).astype(np.int64)
-    some = problem.at(np.union1d(strongest, spread))
+    some = _telling(problem, p)
     faulty = []
     for j, q in enumerate(parameters):
         width = q.upper - q.lower
@@ -122,16 +157,31 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
         if not 0 < 2 * step < width:
             continue
         centre = p.copy()
-        centre[j] = np.clip(p[j], q.lower + step, q.upper - step)
-        ends = [some.values(centre + side * step * (np.arange(len(p)) == j)) for side in (1, -1)]
-        quotient = (ends[0] - ends[1]) / (2 * step)
-        f, analytic = some.jacobian(centre)
-        analytic = analytic[:, j]
-        largest = max(np.max(np.abs(analytic)), np.max(np.abs(quotient)))
-        rounding = 1e-14 * np.max(np.abs(f)) / step
-        if not np.max(np.abs(analytic - quotient)) <= SAME_GRADIENT * largest + rounding:
+        centre[j] = min(max(p[j], q.lower + step), q.upper - step)
+        ends = [centre.copy(), centre.copy()]
+        ends[0][j] += step
+        ends[1][j] -= step
+        quotient = (some.values(ends[0]) - some.values(ends[1])) / (2 * step)
+        f, jac = some.jacobian(centre)
+        analytic = jac[:, j]
+        largest = max(abs(analytic).max(), abs(quotient).max())
+        rounding = 1e-14 * abs(f).max() / step
+        if not abs(analytic - quotient).max() <= SAME_GRADIENT * largest + rounding:
             faulty.append(q.name)
     return faulty
+
+
+def _telling(problem: Problem, p: FloatArray) -> Problem:
+    """A few samples: those on which each derivative is strongest, and some over all."""
+    coarse = problem.subset(scan.SUBSET) if problem.n > 2 * scan.SUBSET else problem
+    _, jac = coarse.jacobian(p)
+    n, strong = coarse.n, min(4, coarse.n)
+    weighted = abs(jac) * np.sqrt(coarse.inverse_variance)[:, None]
+    strongest = np.argpartition(weighted, -strong, axis=0)[-strong:]
+    taken = np.zeros(n, bool)
+    taken[strongest] = True
+    taken[np.linspace(0, n - 1, min(CHECKED, n)).astype(np.int64)] = True
+    return coarse.at(np.flatnonzero(taken))
 
 
 def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
@@ -141,7 +191,7 @@ def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
     p = np.where(np.arange(len(optimum.p)) == j, q.lower, pinned.p)
     chi2, g, h = problem.normal_equations(p)
     free = pinned.free & (np.arange(len(p)) != j)
-    return Optimum(p, chi2, g, h, free, pinned.evaluations, pinned.verified)
+    return Optimum(p, chi2, g, h, free, pinned.evaluations, pinned.verified, pinned.limited)
 
 
 def pinned_at(problem: Problem, j: int, value: float) -> Problem:
@@ -151,151 +201,108 @@ def pinned_at(problem: Problem, j: int, value: float) -> Problem:
     return problem.with_parameters(tuple(parameters))
 
 
-def _followed(problem: Problem, start: FloatArray, evaluations: int = 0) -> Optimum:
-    _, p = _linear_solved(problem, start)
-    p, n = _slsqp(problem, p)
-    return _polish(problem, p, evaluations + n + 1)
+@dataclass
+class _State:
+    """Where Gauss-Newton steps stand: a point, chi-squared there, its slope and its curvature."""
+
+    problem: Problem
+    box: scan.Box
+    size: float
+    p: FloatArray
+    chi2: float
+    g: FloatArray
+    h: FloatArray
+    evaluations: int = 1
+
+    @classmethod
+    def at(cls, problem: Problem, p: FloatArray) -> _State:
+        """The state at the point inside the bounds that is nearest to p."""
+        box = scan.Box.of(problem)
+        p = box.inside(p)
+        value = problem.samples.value
+        size = math.sqrt(float(np.vdot(value * value, problem.inverse_variance)))
+        return cls(problem, box, size, p, *problem.normal_equations(p))
+
+    def step(self, damping: float = 0.0) -> tuple[FloatArray, float, bool]:
+        """Where the next step leads, length of the undamped one, and whether the sum ends it.
+
+        The length is in units of the uncertainty in its direction.
+        """
+        box = self.box
+        point, decrease, limited = next_point(
+            self.h, self.g, self.p, box.lower, box.upper, box.c, damping
+        )
+        return point, math.sqrt(max(decrease, 0.0)) / self.noise, limited
+
+    @property
+    def noise(self) -> float:
+        """Root mean square of the weighted residuals, never 0."""
+        dof = max(self.problem.n - len(self.p), 1)
+        return math.sqrt(max(self.chi2 / dof, 1e-300))
+
+    @property
+    def rounding(self) -> float:
+        """What a step may change by rounding alone, in units of the uncertainty."""
+        return ROUNDING * self.size / self.noise
+
+    def moved(self, p: FloatArray, chi2: float, g: FloatArray, h: FloatArray) -> None:
+        """Stand at another point."""
+        self.p, self.chi2, self.g, self.h = p, chi2, g, h
 
 
-def _linear_solved(problem: Problem, p: FloatArray) -> tuple[float, FloatArray]:
-    """chi2 and the point with the linear parameters at their best inside the bounds.
-
-    chi2 is quadratic in them, so one pass over the data tells it all.
-    """
-    from scipy.optimize import lsq_linear
-
-    parameters = problem.parameters
-    linear = [j for j, q in enumerate(parameters) if q.linear]
-    chi2, g, h = problem.normal_equations(p)
-    scale = np.sqrt(np.diag(h)[linear])
-    if not linear or not np.all(np.isfinite(scale)) or not np.any(scale > 0):
-        return chi2, p
-    linear = [j for j, s in zip(linear, scale, strict=True) if s > 0]
-    scale = scale[scale > 0]
-    values, vectors = np.linalg.eigh(h[np.ix_(linear, linear)] / np.outer(scale, scale))
-    known = values > UNDETERMINED
-    root = np.sqrt(values[known])[:, None] * vectors.T[known]
-    x = p[linear] * scale
-    target = root @ x + (vectors.T[known] @ (g[linear] / scale)) / np.sqrt(values[known])
-    bounds = [np.array([getattr(parameters[j], e) for j in linear]) for e in ("lower", "upper")]
-    y = lsq_linear(root, target, (bounds[0] * scale, bounds[1] * scale), method="bvls").x
-    solved = p.copy()
-    solved[linear] = np.clip(y / scale, *bounds)
-    d = solved - p
-    lower = float(chi2 - 2 * g @ d + d @ h @ d)
-    return (lower, solved) if lower < chi2 else (chi2, p)
-
-
-def _grid(q: Parameter) -> FloatArray:
-    low, high = q.start or (q.lower, q.upper)
-    if q.scale == "log":
-        return np.geomspace(low, high, GRID)
-    return np.linspace(low, high, GRID)
-
-
-def _distinct(scored: list[tuple[float, FloatArray]], n: int) -> list[tuple[float, FloatArray]]:
-    """The best entries that are not neighbours of a better one on the grid."""
-    chosen: list[tuple[float, FloatArray]] = []
-    for chi2, p in scored:
-        if all(np.max(np.abs(p - q) / (np.abs(p) + np.abs(q) + 1e-12)) > 0.4 for _, q in chosen):
-            chosen.append((chi2, p))
-        if len(chosen) == n:
-            break
-    return chosen
-
-
-class _Scale:
-    """Optimiser variables in [0, 1]: log parameters by their logarithm."""
-
-    def __init__(self, parameters: tuple[Parameter, ...]) -> None:
-        self.log = np.array([q.scale == "log" for q in parameters])
-        self.low = self._internal(np.array([q.lower for q in parameters]))
-        self.span = self._internal(np.array([q.upper for q in parameters])) - self.low
-
-    def _internal(self, p: FloatArray) -> FloatArray:
-        return np.where(self.log, np.log(np.where(self.log, p, 1.0)), p)
-
-    def to(self, p: FloatArray) -> FloatArray:
-        width = np.where(self.span > 0, self.span, 1.0)  # none where a parameter is held
-        return np.clip((self._internal(p) - self.low) / width, 0.0, 1.0)
-
-    def back(self, x: FloatArray) -> FloatArray:
-        y = self.low + x * self.span
-        return np.where(self.log, np.exp(np.where(self.log, y, 0.0)), y)
-
-    def derivative(self, p: FloatArray) -> FloatArray:
-        """dp/dx."""
-        return self.span * np.where(self.log, p, 1.0)
-
-
-def _slsqp(problem: Problem, start: FloatArray) -> tuple[FloatArray, int]:
-    """nlopt LD_SLSQP on chi2 / chi2(start): unscaled, SLSQP stops after one step."""
-    import nlopt
-
-    scale = _Scale(problem.parameters)
-    best = (np.inf, start)
-    reference = max(problem.chi2(start), 1e-300)
+def _followed(
+    problem: Problem, start: FloatArray, engine: Engine | None, *, near: bool = False
+) -> Optimum:
+    p = scan.amplitudes_solved(problem, start)
     evaluations = 1
-
-    def objective(x: FloatArray, gradient: FloatArray) -> float:
-        nonlocal best, evaluations
-        p = scale.back(x)
-        chi2, g, _ = problem.normal_equations(p)
-        evaluations += 1
-        if chi2 < best[0]:
-            best = (chi2, p)
-        if gradient.size:
-            gradient[:] = -2 * g * scale.derivative(p) / reference
-        return chi2 / reference
-
-    optimiser = nlopt.opt(nlopt.LD_SLSQP, len(start))
-    optimiser.set_lower_bounds(np.zeros(len(start)))
-    optimiser.set_upper_bounds(np.ones(len(start)))
-    optimiser.set_min_objective(objective)
-    optimiser.set_ftol_rel(1e-6)
-    optimiser.set_maxeval(200)
-    # The best point seen is kept; the polish and its checks decide what it is worth. nlopt has
-    # a runtime_error of its own, which is no RuntimeError.
-    with contextlib.suppress(nlopt.RoundoffLimited, nlopt.runtime_error, RuntimeError, ValueError):
-        optimiser.optimize(scale.to(start))
-    return best[1], evaluations
+    if engine is not None:
+        p, n = engine(problem, p)
+        evaluations += n
+    elif problem.n > 2 * FIRST and not near:
+        end = _marquardt(problem.subset(FIRST), p)
+        p, evaluations = end.p, end.evaluations
+    return _polish(problem, p, evaluations)
 
 
-def _polish(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
+def _same_place(problem: Problem, first: _State, second: _State) -> bool:
+    step = scan.ordered(problem, second.p) - scan.ordered(problem, first.p)
+    apart = float(step @ first.h @ step)
+    lost = np.diag(first.h) <= 0
+    moved = np.any(step[lost] != 0)
+    return not moved and apart <= (SAME_PLACE * first.noise) ** 2
+
+
+def _polish(problem: Problem, start: FloatArray | _State, evaluations: int) -> Optimum:
     """Levenberg-Marquardt with an active set of bounds, until the step is negligible.
 
     Where a point half an uncertainty away turns out deeper, it goes on from there.
     """
     for _ in range(3):
-        optimum = _marquardt(problem, p, evaluations)
-        deeper, n = _deeper_nearby(problem, optimum)
-        evaluations = optimum.evaluations + n
+        state = start if isinstance(start, _State) else _marquardt(problem, start)
+        if state is not start:
+            evaluations += state.evaluations
+        optimum = _settled(state, evaluations)
+        deeper, n = _deeper_nearby(state, optimum)
+        evaluations += n
         if deeper is None:
             return replace(optimum, evaluations=evaluations)
-        p = deeper
+        start = deeper
     return replace(optimum, evaluations=evaluations, verified=False)
 
 
-def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
-    parameters = problem.parameters
-    lower = np.array([q.lower for q in parameters])
-    upper = np.array([q.upper for q in parameters])
-    p = np.clip(p, lower, upper)
-    size = np.sqrt(np.sum(problem.samples.value**2 * problem.inverse_variance))
-    chi2, g, h = problem.normal_equations(p)
-    evaluations += 1
+def _marquardt(problem: Problem, p: FloatArray) -> _State:
+    """Damped Gauss-Newton steps; a step between the bounds is the best one between them."""
+    state = _State.at(problem, p)
     damping = 1e-3
     for _ in range(POLISH_STEPS):
-        free = _free(p, g, lower, upper)
-        stop = max(STOP, ROUNDING * size / _noise(problem, chi2))
-        if _distance(problem, chi2, g, h, free) <= stop:
+        trial, distance, _ = state.step(damping)
+        if distance <= max(STOP, state.rounding):
             break
-        trial = np.clip(p + _solve(h, g, free, damping), lower, upper)
         new = problem.normal_equations(trial)
-        evaluations += 1
-        if new[0] <= chi2:
-            same = bool(np.all(np.abs(trial - p) <= 1e-14 * np.abs(p)))
-            p, (chi2, g, h) = trial, new
+        state.evaluations += 1
+        if new[0] <= state.chi2:
+            same = bool((abs(trial - state.p) <= 1e-14 * abs(state.p)).all())
+            state.moved(trial, *new)
             damping = max(damping / 10, 1e-12)
             if same:
                 break
@@ -303,85 +310,67 @@ def _marquardt(problem: Problem, p: FloatArray, evaluations: int) -> Optimum:
             damping *= 10
             if damping > 1e10:
                 break  # no step goes down: rounding limits the sum of squares
-    p, chi2, g, h = _snapped(problem, p, chi2, g, h)
-    free = _free(p, g, lower, upper)
-    limit = max(VERIFIED, 1e2 * ROUNDING * size / _noise(problem, chi2))
-    verified = bool(_distance(problem, chi2, g, h, free) <= limit)
-    return Optimum(p, chi2, g, h, (p > lower) & (p < upper), evaluations, verified)
+    return state
 
 
-def _snapped(
-    problem: Problem, p: FloatArray, chi2: float, g: FloatArray, h: FloatArray
-) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+def _settled(state: _State, evaluations: int) -> Optimum:
+    """The state with what is a hair from a bound put on it, and whether its step is negligible."""
+    _snap(state)
+    _, distance, limited = state.step()
+    held = tuple(map(int, np.flatnonzero(state.box.c))) if limited else ()
+    verified = distance <= max(VERIFIED, 1e2 * state.rounding)
+    p, box = state.p, state.box
+    free = (p > box.lower) & (p < box.upper)
+    return Optimum(p, state.chi2, state.g, state.h, free, evaluations, verified, held)
+
+
+def _snap(state: _State) -> None:
     """Parameters a hair from a bound are put on it where chi2 does not mind."""
-    size = np.sum(problem.samples.value**2 * problem.inverse_variance)
-    for j, q in enumerate(problem.parameters):
-        hair = NEAR_BOUND * (q.upper - q.lower)
-        for bound in (q.lower, q.upper):
-            if 0 < abs(p[j] - bound) <= hair:
-                trial = np.where(np.arange(len(p)) == j, bound, p)
-                new = problem.normal_equations(trial)
-                if new[0] <= chi2 * (1 + DEEPER) + ROUNDING**2 * size:
-                    p, (chi2, g, h) = trial, new
-    return p, chi2, g, h
+    box = state.box
+    hair = NEAR_BOUND * (box.upper - box.lower)
+    for bound in (box.lower, box.upper):
+        gap = abs(state.p - bound)
+        for j in np.flatnonzero((gap > 0) & (gap <= hair)):
+            trial = state.p.copy()
+            trial[j] = bound[j]
+            new = state.problem.normal_equations(trial)
+            state.evaluations += 1
+            if new[0] <= state.chi2 * (1 + DEEPER) + (ROUNDING * state.size) ** 2:
+                state.moved(trial, *new)
 
 
-def _free(p: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> NDArray[np.bool_]:
-    """Parameters that no bound holds; g points downhill."""
-    return np.asarray(~(((p <= lower) & (g <= 0)) | ((p >= upper) & (g >= 0))))
-
-
-def _noise(problem: Problem, chi2: float) -> float:
-    """Root mean square of the weighted residuals, never 0."""
-    return float(np.sqrt(max(chi2 / max(problem.n - len(problem.parameters), 1), 1e-300)))
-
-
-def _distance(
-    problem: Problem, chi2: float, g: FloatArray, h: FloatArray, free: NDArray[np.bool_]
-) -> float:
-    """Length of the next Gauss-Newton step in units of the uncertainty in its direction."""
-    decrease = float(g @ _solve(h, g, free, 0.0))
-    return float(np.sqrt(max(decrease, 0.0))) / _noise(problem, chi2)
-
-
-def _deeper_nearby(problem: Problem, optimum: Optimum) -> tuple[FloatArray | None, int]:
+def _deeper_nearby(state: _State, optimum: Optimum) -> tuple[FloatArray | None, int]:
     """A point half an uncertainty away with a smaller chi2, or None; and how many were tried.
 
     The curvature J^T W J is never negative, also not on a saddle: only chi2 itself tells.
     """
-    index = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
+    h, box = optimum.curvature, state.box
+    index = np.flatnonzero(optimum.free & (np.diag(h) > 0))
     if len(index) == 0:
         return None, 0
-    parameters = problem.parameters
-    bounds = [np.array([getattr(q, end) for q in parameters]) for end in ("lower", "upper")]
-    scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
-    values, vectors = np.linalg.eigh(
-        optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
-    )
-    tried = 0
-    best: tuple[float, FloatArray | None] = (optimum.chi2 * (1 - DEEPER), None)
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value < UNDETERMINED:
-            continue
-        step = np.zeros(len(parameters))
-        step[index] = 0.5 * _noise(problem, optimum.chi2) * scale * vector / np.sqrt(value)
-        for side in (1, -1):
-            trial = np.clip(optimum.p + side * step, *bounds)
-            chi2 = problem.chi2(trial)
-            tried += 1
-            if chi2 < best[0]:
-                best = (chi2, trial)
-    return best[1], tried
+    scale = 1 / np.sqrt(np.diag(h)[index])
+    scaled = h[np.ix_(index, index)] * np.outer(scale, scale)
+    along = within_sum(scale * box.c[index]) if optimum.limited else np.eye(len(index))
+    values, vectors = np.linalg.eigh(along.T @ scaled @ along)
+    known = values >= UNDETERMINED
+    steps = (0.5 * state.noise * scale)[:, None] * (along @ vectors[:, known])
+    steps = steps / np.sqrt(values[known])
+    trials = np.repeat(optimum.p[None], 2 * steps.shape[1], axis=0)
+    trials[:, index] += np.concatenate([steps.T, -steps.T])
+    trials = np.array([box.inside(trial) for trial in trials])
+    if len(trials) == 0:
+        return None, 0
+    chi2 = state.problem.batch_chi2(trials)
+    k = int(np.argmin(chi2))
+    # Where the model leaves nothing over, rounding makes one point or the other deeper.
+    floor = (ROUNDING * state.size) ** 2
+    deeper = trials[k] if chi2[k] < optimum.chi2 * (1 - DEEPER) - floor else None
+    return deeper, len(trials)
 
 
-def _solve(h: FloatArray, g: FloatArray, free: NDArray[np.bool_], damping: float) -> FloatArray:
-    """(H + damping diag H) step = g on the free parameters; 0 where the data say nothing."""
-    step = np.zeros(len(g))
-    index = np.flatnonzero(free & (np.diag(h) > 0))
-    if len(index):
-        scale = 1 / np.sqrt(np.diag(h)[index])
-        scaled = h[np.ix_(index, index)] * np.outer(scale, scale)
-        scaled = scaled + damping * np.eye(len(index))
-        # rcond leaves out directions that the data do not determine.
-        step[index] = scale * (np.linalg.pinv(scaled, rcond=UNDETERMINED) @ (scale * g[index]))
-    return step
+def within_sum(c: FloatArray) -> FloatArray:
+    """Orthonormal directions (P, P - 1) along which a sum with coefficients c stays."""
+    if not np.any(c):
+        return np.eye(len(c))
+    _, _, rows = np.linalg.svd(c[None])
+    return np.asarray(rows[1:].T)

@@ -1,41 +1,41 @@
-"""The posterior by emcee, with a batched likelihood and proposals that know the mode.
+"""The posterior of a fit: the marginal sampler where its guard lets it, emcee otherwise.
 
 The likelihood holds the independent errors. Errors that the samples share are not learnt from the
 data: each draw is moved by a random draw of every shared term, as GUM supplement 1 propagates
-them. Priors are flat between the bounds of the parameters.
+them. Priors are those of `gonio.fitting.priors`, flat between the bounds where none is declared.
+Both samplers integrate over the amplitudes in closed form (`gonio.fitting.target`); emcee's
+walkers propose by a Student-t at the mode, by differential evolution and by a snooker.
 """
 
 from __future__ import annotations
 
-import warnings as python_warnings
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import emcee
 import numpy as np
 
-from gonio.files import atomic_path
+from gonio.errors import ConfigurationError
+from gonio.fitting import convergence, marginal
+from gonio.fitting.convergence import Convergence
 from gonio.fitting.optimise import Optimum
+from gonio.fitting.priors import Prior, resolve
 from gonio.fitting.problem import Problem
+from gonio.fitting.proposal import Proposal, cholesky
 from gonio.fitting.result import PosteriorSummary
+from gonio.fitting.target import TOLERANCE, MarginalTarget, Target, WholeTarget
 from gonio.fitting.uncertainty import Uncertainty
 from gonio.geometry import FloatArray
-from gonio.kernels import map_blocks
-from gonio.models import Model
+from gonio.models import Parameter
 
 WALKERS = 32
 BURN_IN = 50
 BLOCK_STEPS = 100
-MAX_STEPS = 5000
-CHAIN_LENGTHS = 50  # autocorrelation times that a chain must be long
-MAX_R_HAT = 1.01
-DEGREES = 5.0  # of the Student-t proposal: heavier tails than the posterior's
-EXACT_MEMBERS = 50_000  # with so few cell members every likelihood integrates over the cells
-CHECKED_DRAWS = 8
-TOLERANCE = 0.05  # largest error of a log-likelihood that the cell factors may make
+GROWTH = 1.25  # of the chain between two looks at its convergence
+MAX_STEPS = 20_000
 
+Sampler = Literal["auto", "marginal", "emcee"]
 Progress = Callable[[int, int], None]
 
 
@@ -45,61 +45,60 @@ class Chain:
 
     Parameters
     ----------
-    draws : ndarray, shape (walkers, steps, parameters)
+    draws : ndarray, shape (chains, steps, parameters)
         Python units, burn-in removed, shared terms added.
-    tau : float
-        Longest integrated autocorrelation time, steps; infinite where it cannot be told.
-    r_hat, ess : float
-        Largest split R-hat and smallest effective number of draws, of the sampled chain.
+    measures : Convergence
+        Of the sampled chains, before the shared terms.
     acceptance : float
+    sampler : {"marginal", "emcee"}
+    k_hat : float or None
+        Of the importance weights of the marginal sampler, also where its guard refused it; None
+        where it had nothing to weigh or did not run.
+    note : str
+        Why the marginal sampler was not used; empty where it was.
+    log_density : ndarray, shape (chains, steps)
+        Log of the density that was sampled, amplitudes integrated out, up to a constant.
+    priors : tuple of Prior
     warnings : list of str
     """
 
     draws: FloatArray
-    tau: float
-    r_hat: float
-    ess: float
+    measures: Convergence
     acceptance: float
-    warnings: list[str]
+    sampler: Literal["marginal", "emcee"]
+    k_hat: float | None
+    note: str
+    log_density: FloatArray
+    priors: tuple[Prior, ...]
+    warnings: list[str] = field(default_factory=list)
 
     @property
     def n_steps(self) -> int:
-        """Steps a walker after the burn-in."""
+        """Steps a chain after the burn-in."""
         return int(self.draws.shape[1])
 
     @property
     def converged(self) -> bool:
-        """Long against tau, and R-hat near 1."""
-        return self.n_steps >= CHAIN_LENGTHS * self.tau and self.r_hat < MAX_R_HAT
+        """Long against tau, R-hat near 1, enough effective draws in the middle and the tails."""
+        return self.measures.converged
 
-    def summary(self, path: str | None) -> PosteriorSummary:
+    def summary(self, parameters: Sequence[Parameter], path: str | None) -> PosteriorSummary:
         """The part of the chain that stands in a fit's JSON document."""
-        tau = self.tau if np.isfinite(self.tau) else float(self.n_steps)
-        return PosteriorSummary(self.ess, self.r_hat, tau, self.acceptance, self.converged, path)
-
-    def save(self, path: Path, model: Model) -> None:
-        """Write the draws as netCDF with a group `posterior`, angles in degrees.
-
-        `arviz.from_netcdf` opens it.
-        """
-        import xarray as xr
-
-        variables = {
-            q.name: (
-                ("chain", "draw"),
-                self.draws[:, :, j] * q.to_file(1.0),
-                {"units": q.file_unit or "1"},
-            )
-            for j, q in enumerate(model.parameters)
-        }
-        walkers, steps, _ = self.draws.shape
-        dataset = xr.Dataset(
-            variables,
-            coords={"chain": np.arange(walkers), "draw": np.arange(steps)},
-            attrs={"model": model.name, "sampler": f"emcee {emcee.__version__}"},
+        m = self.measures
+        return PosteriorSummary(
+            ess=m.ess_bulk,
+            r_hat=m.r_hat if np.isfinite(m.r_hat) else float(len(self.draws)),
+            tau=m.tau if np.isfinite(m.tau) else float(self.n_steps),
+            acceptance=self.acceptance,
+            converged=self.converged,
+            draws=path,
+            ess_bulk=m.ess_bulk,
+            ess_tail=m.ess_tail,
+            sampler=self.sampler,
+            k_hat=self.k_hat if self.k_hat is not None and np.isfinite(self.k_hat) else None,
+            note=self.note,
+            priors={q.name: p.text(q) for q, p in zip(parameters, self.priors, strict=True)},
         )
-        with atomic_path(path) as temporary:
-            dataset.to_netcdf(temporary, group="posterior", engine="h5netcdf")
 
 
 def sample(
@@ -108,6 +107,8 @@ def sample(
     errors: Uncertainty,
     *,
     seed: int,
+    sampler: Sampler = "auto",
+    priors: Sequence[Prior] | None = None,
     max_steps: int = MAX_STEPS,
     progress: Progress | None = None,
 ) -> Chain:
@@ -122,128 +123,179 @@ def sample(
         Its noise scale widens the likelihood, its shared terms move the draws.
     seed : int
         One seed, one chain, whatever the number of threads.
+    sampler : {"auto", "marginal", "emcee"}
+        The marginal sampler is tried first unless emcee is asked for; emcee takes over where its
+        guard refuses it.
+    priors : sequence of Prior, optional
+        One a parameter; as the parameters declare them where not given.
     progress : callable, optional
-        Called with (steps done, most steps).
+        Called with (steps done, most steps) while emcee runs.
+
+    Raises
+    ------
+    ConfigurationError
+        Where the marginal sampler is asked for and the problem is not one model with independent
+        noise and squared residuals.
     """
     rng = np.random.default_rng(seed)
-    likelihood = _Likelihood(problem, optimum.p, errors.noise_scale)
-    walkers, state, acceptance = _run(
-        problem, optimum, errors, likelihood, rng, max_steps, progress
-    )
-    notes = []
-    if not likelihood.exact:
-        worst = likelihood.worst_error(walkers, rng)
-        if worst > TOLERANCE:
-            likelihood = likelihood.made_exact()
-            walkers, state, acceptance = _run(
-                problem, optimum, errors, likelihood, rng, max_steps, progress
-            )
-            notes.append(
-                "the lobe changes over the cells within the posterior: the likelihood was "
-                "integrated over every cell, which is slower."
-            )
-    tau, r_hat, ess = state
-    draws = _with_shared(problem, walkers, errors, rng)
-    return Chain(draws, tau, r_hat, ess, acceptance, notes)
-
-
-class _Likelihood:
-    """Log-likelihood of a batch of parameter vectors.
-
-    The model is taken at one direction a sample times a factor that integrates it over the cell;
-    the factor is expanded to first order in the parameters about the mode. `worst_error` tells
-    what this costs over the posterior; with few samples the cells are integrated over every time.
-    """
-
-    def __init__(self, problem: Problem, mode: FloatArray, scale: float) -> None:
-        self.problem = problem
-        self.scale = scale
-        self.exact = len(problem.cells.weight) <= EXACT_MEMBERS
-        _, w_r = problem.samples.directions.vectors()
-        self.w_r = np.ascontiguousarray(w_r)
-        self.mode = mode
-        self.factor = self._factors()
-        self.lower = np.array([q.lower for q in problem.parameters])
-        self.upper = np.array([q.upper for q in problem.parameters])
-
-    def _factors(self) -> FloatArray:
-        """Integral over the cell by value at its centre, and its derivatives, (N, 1 + P)."""
-        problem = self.problem
-        centre, centre_slope = problem.model.gradient(
-            problem.w_i, self.w_r, self.mode, threads=problem.threads
+    priors = resolve(problem.parameters) if priors is None else tuple(priors)
+    root = _proposal_root(problem, optimum, errors)
+    plain = _is_plain(problem)
+    if sampler == "marginal" and not plain:
+        raise ConfigurationError(
+            "sampler 'marginal' needs one model with independent noise and the loss chi2, and "
+            f"{problem.name} is more than that; use auto or emcee.",
+            value=sampler,
         )
-        cell, cell_slope = problem.jacobian(self.mode)
-        safe = np.where(centre != 0, centre, 1.0)
-        ratio = np.where(centre != 0, cell / safe, 1.0)
-        slope = (cell_slope - ratio[:, None] * centre_slope) / safe[:, None]
-        slope[centre == 0] = 0.0
-        return np.concatenate([ratio[:, None], slope], axis=1)
 
-    def __call__(self, batch: FloatArray) -> FloatArray:
-        """Log-posterior of each row of `batch`; -inf outside the bounds."""
-        inside = np.all((batch >= self.lower) & (batch <= self.upper), axis=1)
-        result = np.full(len(batch), -np.inf)
-        if inside.any():
-            chi2 = self._chi2(np.ascontiguousarray(batch[inside]))
-            result[inside] = -0.5 * chi2 / self.scale**2
-        return result
+    def target(*, whole: bool) -> Target:
+        if not plain:
+            return WholeTarget(problem, optimum.p, errors.noise_scale, priors)
+        spread = np.sqrt(np.sum(root**2, axis=1))
+        built = MarginalTarget(problem, optimum.p, errors.noise_scale, priors, spread)
+        if whole and len(built.sampled) == 0:
+            # emcee needs something to walk in.
+            return MarginalTarget(
+                problem, optimum.p, errors.noise_scale, priors, spread, amplitudes=0
+            )
+        return built
 
-    def _chi2(self, batch: FloatArray) -> FloatArray:
-        problem = self.problem
-        if self.exact:
-            return np.array([problem.chi2(p) for p in batch])
-        block = 16384
-        parts = np.empty((-(-problem.n // block), len(batch)))
-        work = problem.model.loops.batch_chi2
-        value = problem.samples.value
+    k_hat, note, notes = None, "", []
+    if not plain:
+        note = "the problem is not one model with independent noise and squared residuals"
+    elif sampler == "emcee":
+        note = "emcee was asked for"
+    else:
+        chain = _checked(_by_marginal, target(whole=False), root, rng)
+        if not chain.note:
+            return _moved(problem, chain, errors, rng)
+        k_hat, note = chain.k_hat, chain.note
+        if sampler == "marginal":
+            notes = [f"emcee took over from the marginal sampler: {note}."]
 
-        def run(a: int, b: int) -> None:
-            work(
-                problem.w_i[a:b], self.w_r[a:b], self.factor[a:b], self.mode, value[a:b],
-                problem.inverse_variance[a:b], batch, parts[a // block],
-            )  # fmt: skip
+    def by_emcee(target: Target, covariance: FloatArray, rng: np.random.Generator) -> Chain:
+        return _by_emcee(target, covariance, rng, max_steps, progress)
 
-        map_blocks(run, problem.n, threads=problem.threads, block=block)
-        return np.asarray(parts.sum(axis=0))
+    chain = _checked(by_emcee, target(whole=True), root, rng)
+    chain = replace(chain, k_hat=k_hat, note=note, warnings=notes + chain.warnings)
+    return _moved(problem, chain, errors, rng)
 
-    def worst_error(self, walkers: FloatArray, rng: np.random.Generator) -> float:
-        """Largest error of the log-likelihood ratio between posterior draws."""
-        flat = walkers.reshape(-1, walkers.shape[-1])
-        some = flat[rng.integers(0, len(flat), CHECKED_DRAWS)]
-        fast = self._chi2(np.ascontiguousarray(some))
-        slow = np.array([self.problem.chi2(p) for p in some])
-        difference = (fast - slow) / (2 * self.scale**2)
-        return float(np.ptp(difference))
 
-    def made_exact(self) -> _Likelihood:
-        """The same likelihood, integrated over the cells every time."""
-        self.exact = True
-        return self
+def _is_plain(problem: Problem) -> bool:
+    """Whether this is one model with independent noise whose squared residuals are summed."""
+    return type(problem) is Problem and getattr(problem, "loss", "chi2") in {None, "chi2"}
+
+
+def _checked(
+    run: Callable[[Target, FloatArray, np.random.Generator], Chain],
+    target: Target,
+    root: FloatArray,
+    rng: np.random.Generator,
+) -> Chain:
+    """A run, and another one with every cell where the draws show that the factors do not do."""
+    covariance = _sampled_covariance(target, root)
+    chain = run(target, covariance, rng)
+    if target.exact or chain.note:
+        return chain
+    if target.worst_error(chain.draws.reshape(-1, chain.draws.shape[-1]), rng) <= TOLERANCE:
+        return chain
+    target.exact = True
+    chain = run(target, covariance, rng)
+    return replace(
+        chain,
+        warnings=[
+            *chain.warnings,
+            "the lobe changes over the cells within the posterior: the likelihood was "
+            "integrated over every cell, which is slower.",
+        ],
+    )
+
+
+def _by_marginal(target: Target, covariance: FloatArray, rng: np.random.Generator) -> Chain:
+    run = marginal.sample(target, covariance, rng)
+    return Chain(
+        run.draws, run.measures, run.acceptance, "marginal", run.k_hat, run.refusal,
+        run.log_density, target.priors,
+    )  # fmt: skip
+
+
+def _by_emcee(
+    target: Target,
+    covariance: FloatArray,
+    rng: np.random.Generator,
+    max_steps: int,
+    progress: Progress | None,
+) -> Chain:
+    """Walkers in the sampled coordinates until they have converged, then the amplitudes."""
+    mode = target.coordinates(target.mode)
+    proposal = marginal.explored(target, covariance, rng)
+    moves = [
+        (_IndependenceMove(proposal), 0.6),
+        (emcee.moves.DEMove(), 0.3),
+        (_SnookerMove(), 0.1),
+    ]
+
+    def with_sums(x: FloatArray) -> FloatArray:
+        density, sums = target.evaluate(x)
+        return np.column_stack([density, sums])
+
+    sampler = emcee.EnsembleSampler(_walkers(len(mode)), len(mode), with_sums, moves=moves, vectorize=True)
+    # emcee keeps a legacy generator; its `random_state` setter ignores a Generator silently, so
+    # the state of a seeded RandomState is handed over with the start.
+    legacy = np.random.RandomState(np.random.MT19937(int(rng.integers(0, 2**63))))
+    start = _start(target, mode, cholesky(covariance, target.x_upper - target.x_lower), rng)
+    state = emcee.State(start, random_state=legacy.get_state())
+    state = sampler.run_mcmc(state, BURN_IN)
+    sampler.reset()
+    done = look = 0
+    while True:
+        state = sampler.run_mcmc(state, min(BLOCK_STEPS, max_steps - done))
+        done = min(done + BLOCK_STEPS, max_steps)
+        if progress is not None:
+            progress(done, max_steps)
+        if done < min(look, max_steps):
+            continue
+        look = int(GROWTH * done)
+        x = np.swapaxes(sampler.get_chain(), 0, 1)
+        if done < max_steps and not convergence.measure(x).converged:
+            continue
+        draws = _drawn(target, sampler, x, rng)
+        measures = convergence.measure(draws)
+        if measures.converged or done == max_steps:
+            break
+    return Chain(
+        draws, measures, float(np.mean(sampler.acceptance_fraction)), "emcee", None, "",
+        sampler.get_log_prob().T, target.priors,
+    )  # fmt: skip
+
+
+def _walkers(n: int) -> int:
+    """How many walk in n dimensions, so that each half of them spans all."""
+    return max(WALKERS, 4 * n)
+
+
+def _drawn(target: Target, sampler: Any, x: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """All parameters of every walker at every step."""
+    blobs = np.asarray(sampler.get_blobs(), float)
+    sums = np.swapaxes(blobs.reshape(x.shape[1], x.shape[0], -1), 0, 1)
+    flat = target.draw(x.reshape(-1, x.shape[2]), sums.reshape(-1, target.n_sums), rng)
+    return flat.reshape(*x.shape[:2], -1)
 
 
 class _IndependenceMove(emcee.moves.RedBlueMove):  # type: ignore[misc]
-    """Propose from a Student-t at the mode, whatever the walkers' places."""
+    """Propose from a mixture that was fitted to the posterior, whatever the walkers' places."""
 
-    def __init__(self, mode: FloatArray, root: FloatArray) -> None:
-        self.mode = mode
-        self.root = root
-        self.inverse = np.linalg.inv(root)
+    def __init__(self, proposal: Proposal) -> None:
+        self.proposal = proposal
         super().__init__()
 
     def get_proposal(
         self, sample: FloatArray, complement: Any, random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
         """New places and the log of the ratio of proposal densities, old over new."""
-        n, d = sample.shape
-        z = random.standard_normal((n, d))
-        z /= np.sqrt(random.chisquare(DEGREES, (n, 1)) / DEGREES)
-        proposed = self.mode + z @ self.root.T
-        return proposed, self._log_density(sample) - self._log_density(proposed)
-
-    def _log_density(self, p: FloatArray) -> FloatArray:
-        z = (p - self.mode) @ self.inverse.T
-        d = p.shape[1]
-        return np.asarray(-(DEGREES + d) / 2 * np.log1p(np.sum(z * z, axis=1) / DEGREES))
+        proposed = self.proposal.draw(len(sample), random)
+        both = self.proposal.log_density(np.concatenate([sample, proposed]))
+        return proposed, both[: len(sample)] - both[len(sample) :]
 
 
 class _SnookerMove(emcee.moves.RedBlueMove):  # type: ignore[misc]
@@ -269,60 +321,6 @@ class _SnookerMove(emcee.moves.RedBlueMove):  # type: ignore[misc]
         return proposed, (d - 1) * np.log(np.linalg.norm(proposed - z, axis=1) / length)
 
 
-def _run(
-    problem: Problem,
-    optimum: Optimum,
-    errors: Uncertainty,
-    likelihood: _Likelihood,
-    rng: np.random.Generator,
-    max_steps: int,
-    progress: Progress | None,
-) -> tuple[FloatArray, tuple[float, float, float], float]:
-    """Walkers (walkers, steps, P) with (tau, R-hat, ESS) and the acceptance."""
-    root = _proposal_root(problem, optimum, errors)
-    moves = [
-        (_IndependenceMove(optimum.p, root), 0.6),
-        (emcee.moves.DEMove(), 0.3),
-        (_SnookerMove(), 0.1),
-    ]
-    n_p = len(optimum.p)
-    sampler = emcee.EnsembleSampler(WALKERS, n_p, likelihood, moves=moves, vectorize=True)
-    # emcee keeps a legacy generator; its `random_state` setter ignores a Generator silently, so
-    # the state of a seeded RandomState is handed over with the start.
-    legacy = np.random.RandomState(np.random.MT19937(int(rng.integers(0, 2**63))))
-    start = _start(likelihood, optimum.p, root, rng)
-    state = emcee.State(start, random_state=legacy.get_state())
-    state = sampler.run_mcmc(state, BURN_IN)
-    sampler.reset()
-    done = 0
-    measures = (np.inf, np.inf, 0.0)
-    while done < max_steps:
-        state = sampler.run_mcmc(state, BLOCK_STEPS)
-        done += BLOCK_STEPS
-        if progress is not None:
-            progress(done, max_steps)
-        measures = _measures(sampler.get_chain())
-        if done >= CHAIN_LENGTHS * measures[0] and measures[1] < MAX_R_HAT:
-            break
-    chain = np.swapaxes(sampler.get_chain(), 0, 1)
-    return chain, measures, float(np.mean(sampler.acceptance_fraction))
-
-
-def _measures(chain: FloatArray) -> tuple[float, float, float]:
-    """Longest autocorrelation time, largest split R-hat, smallest ESS of a (steps, walkers, P)."""
-    with python_warnings.catch_warnings():
-        python_warnings.simplefilter("ignore")  # arviz announces its next major version
-        import arviz
-
-        tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True)
-        columns = [np.ascontiguousarray(chain[:, :, j].T) for j in range(chain.shape[2])]
-        r_hat = [float(arviz.rhat(c, method="split")) for c in columns]
-        ess = [float(arviz.ess(c, method="bulk")) for c in columns]
-    if not (np.all(np.isfinite(tau)) and np.all(np.isfinite(r_hat))):
-        return np.inf, np.inf, 0.0
-    return float(np.max(tau)), max(r_hat), min(ess)
-
-
 def _proposal_root(problem: Problem, optimum: Optimum, errors: Uncertainty) -> FloatArray:
     """Matrix whose square is the proposal's covariance.
 
@@ -330,7 +328,7 @@ def _proposal_root(problem: Problem, optimum: Optimum, errors: Uncertainty) -> F
     given the width that its own curvature allows, at most a third of its range.
     """
     n_p = len(optimum.p)
-    covariance = errors.independent.copy()
+    covariance = errors.of_likelihood
     for j, q in enumerate(problem.parameters):
         if not errors.determined[j]:
             widest = (q.upper - q.lower) / 3
@@ -343,12 +341,20 @@ def _proposal_root(problem: Problem, optimum: Optimum, errors: Uncertainty) -> F
     return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
 
 
+def _sampled_covariance(target: Target, root: FloatArray) -> FloatArray:
+    """Covariance of the sampled coordinates, from that of the parameters."""
+    some = target.sampled
+    covariance = (root @ root.T)[np.ix_(some, some)]
+    slope = np.where(target.log, 1 / np.where(target.log, target.mode[some], 1.0), 1.0)
+    return np.asarray(covariance * np.outer(slope, slope))
+
+
 def _start(
-    likelihood: _Likelihood, mode: FloatArray, root: FloatArray, rng: np.random.Generator
+    target: Target, mode: FloatArray, root: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Walkers scattered about the mode, mirrored at the bounds."""
-    places = mode + rng.standard_normal((WALKERS, len(mode))) @ root.T
-    lower, upper = likelihood.lower, likelihood.upper
+    places = mode + rng.standard_normal((_walkers(len(mode)), len(mode))) @ root.T
+    lower, upper = target.x_lower, target.x_upper
     places = np.where(places < lower, 2 * lower - places, places)
     places = np.where(places > upper, 2 * upper - places, places)
     # A place mirrored beyond the other bound is drawn anywhere between them.
@@ -356,13 +362,11 @@ def _start(
     return np.where((places < lower) | (places > upper), anywhere, places)
 
 
-def _with_shared(
-    problem: Problem, walkers: FloatArray, errors: Uncertainty, rng: np.random.Generator
-) -> FloatArray:
+def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.Generator) -> Chain:
     """Each draw moved by a random draw of every shared term, held inside the bounds."""
-    draws = walkers.copy()
-    for moves in errors.shared.values():
-        draws += rng.standard_normal((*walkers.shape[:2], len(moves))) @ moves
+    draws = chain.draws.copy()
+    for moves in errors.propagated.values():
+        draws += rng.standard_normal((*draws.shape[:2], len(moves))) @ moves
     lower = [q.lower for q in problem.parameters]
     upper = [q.upper for q in problem.parameters]
-    return np.clip(draws, lower, upper)
+    return replace(chain, draws=np.clip(draws, lower, upper))

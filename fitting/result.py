@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from gonio.errors import DataError
+from gonio.errors import DataError, unknown_name
 from gonio.files import write_text
 
 SCHEMA = "gonio.fit/1"
@@ -43,6 +43,28 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class NuisanceEstimate:
+    """A shared error that the fit has learnt, in units of its prior's standard uncertainty.
+
+    Parameters
+    ----------
+    name : str
+        Of the shared term.
+    group : int or None
+        Which of its draws, by the number that its samples have in common; None where all have.
+    estimate : float
+        0 where the data do not speak against the statement of the budget.
+    stderr : float
+        1 where the data say nothing about it, 0 where they know it.
+    """
+
+    name: str
+    group: int | None
+    estimate: float
+    stderr: float
+
+
+@dataclass(frozen=True)
 class PosteriorSummary:
     """How the posterior was sampled.
 
@@ -51,15 +73,28 @@ class PosteriorSummary:
     ess : float
         Smallest effective number of draws over the parameters.
     r_hat : float
-        Largest split R-hat.
+        Largest rank-normalised split R-hat.
     tau : float
         Longest integrated autocorrelation time, steps.
     acceptance : float
         Share of accepted proposals.
     converged : bool
-        Chain longer than 50 tau and R-hat below 1.01.
+        Chain longer than 50 tau, R-hat below 1.01, and at least 400 effective draws for the bulk
+        and for the tails.
     draws : str or None
         Path of the netCDF file with the draws.
+    ess_bulk, ess_tail : float or None
+        Smallest effective numbers of draws for the middle, which is `ess`, and for the 5 % and
+        95 % quantiles.
+    sampler : str or None
+        "marginal" or "emcee".
+    k_hat : float or None
+        Shape of the tail of the marginal sampler's importance weights, also where its guard
+        refused it; None where there was nothing to weigh.
+    note : str
+        Why the marginal sampler was not used; empty where it was.
+    priors : mapping of str to str
+        As `gonio.fitting.priors` writes them, file units.
     """
 
     ess: float
@@ -68,6 +103,73 @@ class PosteriorSummary:
     acceptance: float
     converged: bool
     draws: str | None = None
+    ess_bulk: float | None = None
+    ess_tail: float | None = None
+    sampler: str | None = None
+    k_hat: float | None = None
+    note: str = ""
+    priors: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PartFit:
+    """One channel, wavelength or material of a joint fit.
+
+    Parameters
+    ----------
+    name : str
+        "red", "650 nm", "paint_a", or "paint_a, red".
+    parameters : mapping of str to str
+        The name of each of the model's parameters in the parameters of the fit.
+    alone : mapping of str to tuple
+        Value and standard uncertainty (None where unknown) of each shared parameter in a fit to
+        this part alone, unit of files.
+    chi2, dof, noise_scale : float, int, float
+        Of this part: its residuals, its samples less the parameters that are its own, and the
+        factor on its independent uncertainties.
+    n_samples, n_negative : int
+    select : mapping of str to str
+        Takes the part out of its input.
+    input : str or None
+        The input that the part is of, where there are several.
+    """
+
+    name: str
+    parameters: Mapping[str, str]
+    alone: Mapping[str, tuple[float, float | None]]
+    chi2: float
+    dof: int
+    noise_scale: float
+    n_samples: int
+    n_negative: int
+    select: Mapping[str, str] = field(default_factory=dict)
+    input: str | None = None
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Whether the parts of a joint fit have their shared parameters in common: a test.
+
+    Parameters
+    ----------
+    parameters : tuple of str
+        What is shared.
+    growth : float
+        chi-squared of the joint fit less that of separate fits, in units of the noise.
+    dof : int
+        How many parameters the separate fits have more.
+    p_value : float or None
+        Chance of a growth as large where the parts do share; errors of the parts' own, such as a
+        lamp that drifts, are allowed for. None where nothing can be tested.
+    refused : bool
+        The chance is below 1 %.
+    """
+
+    parameters: tuple[str, ...]
+    growth: float
+    dof: int
+    p_value: float | None
+    refused: bool
 
 
 @dataclass(frozen=True)
@@ -99,6 +201,17 @@ class FitResult:
     posterior : PosteriorSummary or None
     warnings : tuple of str
     diagnostics, versions, source : mapping
+    parts : tuple of PartFit
+        The channels, wavelengths or materials of a joint fit, else empty.
+    sharing : Sharing or None
+        The test of a joint fit's shared parameters.
+    nuisance : tuple of NuisanceEstimate
+        Shared errors that were learnt with the fit, else empty.
+    engine : str
+        What searched for the minimum before the Gauss-Newton steps (`gonio.fitting.engines`).
+    loss : str
+        What was made small (`gonio.fitting.losses`); for another one than chi2 its value stands as
+        `chi2`, and uncertainties come from the scatter of the residuals.
     """
 
     model: str
@@ -118,6 +231,11 @@ class FitResult:
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     source: Mapping[str, Any] = field(default_factory=dict)
+    parts: tuple[PartFit, ...] = ()
+    sharing: Sharing | None = None
+    nuisance: tuple[NuisanceEstimate, ...] = ()
+    engine: str = "gauss_newton"
+    loss: str = "chi2"
 
     @property
     def ok(self) -> bool:
@@ -127,6 +245,50 @@ class FitResult:
     def values(self) -> dict[str, float]:
         """Parameter values by name, in the unit of files."""
         return {name: estimate.value for name, estimate in self.parameters.items()}
+
+    def part(self, name: str) -> FitResult:
+        """One part of a joint fit as a fit of its own, its parameters by the model's names.
+
+        Raises
+        ------
+        ConfigurationError
+            If the fit has no part of this name, with the nearest one.
+        """
+        found = next((part for part in self.parts if part.name == name), None)
+        if found is None:
+            raise unknown_name("part of the fit", name, [part.name for part in self.parts])
+        order = list(self.parameters)
+        at = [order.index(own) for own in found.parameters.values()]
+        c = self.covariance
+        names = {own: q for q, own in found.parameters.items()}
+        source = {
+            # What the source says of the parameters goes by the model's names as well.
+            **{key: _of_part(value, self.parameters, names) for key, value in self.source.items()},
+            "joint": {
+                "part": name,
+                "parameters": dict(found.parameters),
+                "share": [q for q, own in found.parameters.items() if q == own],
+                "select": dict(self.cuts.get("select") or {}),
+                "input": self.source.get("input"),
+            },
+        }
+        if found.input is not None:
+            source["input"] = found.input
+        return replace(
+            self,
+            parameters={name: self.parameters[own] for name, own in found.parameters.items()},
+            covariance=None if c is None else [[c[j][k] for k in at] for j in at],
+            chi2=found.chi2,
+            dof=found.dof,
+            noise_scale=found.noise_scale,
+            n_samples=found.n_samples,
+            n_negative=found.n_negative,
+            cuts={**self.cuts, "select": {**(self.cuts.get("select") or {}), **found.select}},
+            source=source,
+            diagnostics=_part_diagnostics(self.diagnostics, found, self.parts.index(found)),
+            parts=(),
+            sharing=None,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The result as plain data of schema gonio.fit/1."""
@@ -160,6 +322,10 @@ class FitResult:
             if data["posterior"] is not None:
                 data["posterior"] = PosteriorSummary(**data["posterior"])
             data["warnings"] = tuple(data["warnings"])
+            data["parts"] = tuple(_part(entry) for entry in data.get("parts", ()))
+            if data.get("sharing") is not None:
+                data["sharing"] = Sharing(**_with_tuple(data["sharing"], "parameters"))
+            data["nuisance"] = tuple(NuisanceEstimate(**e) for e in data.get("nuisance", ()))
             return cls(**data)
         except FileNotFoundError:
             raise DataError(
@@ -169,6 +335,54 @@ class FitResult:
             raise DataError(
                 f"{path}: not a readable fit ({type(error).__name__}: {error}).", value=path
             ) from None
+
+
+def _part_diagnostics(whole: Mapping[str, Any], part: PartFit, k: int) -> dict[str, Any]:
+    """What the diagnostics of a joint fit say of one part, by the model's names."""
+    told = dict(whole)
+    names = {own: q for q, own in part.parameters.items()}
+    residuals = whole.get("residuals") or {}
+    if "parts" in residuals:
+        told["residuals"] = residuals["parts"][k]
+    if whole.get("priors"):
+        told["priors"] = {names[n]: v for n, v in whole["priors"].items() if n in names}
+    found = whole.get("identifiability")
+    if found:
+        order = [j for j, name in enumerate(found["parameters"]) if name in names]
+        axes = [_renamed(axis["change"], names) for axis in found["axes"]]
+        told["identifiability"] = {
+            **found,
+            "parameters": [names[found["parameters"][j]] for j in order],
+            "correlation": [[found["correlation"][j][m] for m in order] for j in order],
+            "bound": _renamed(found["bound"], names),
+            "alone": _renamed(found["alone"], names),
+            "axes": [
+                {**axis, "change": change}
+                for axis, change in zip(found["axes"], axes, strict=True)
+                if change
+            ],
+        }
+    return told
+
+
+def _of_part(value: Any, whole: Mapping[str, Any], names: Mapping[str, str]) -> Any:
+    """The part's share of a mapping of parameters; anything else as it is."""
+    if not (isinstance(value, Mapping) and value and set(value) <= set(whole)):
+        return value
+    return _renamed(value, names) or None
+
+
+def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    return {names[name]: value for name, value in values.items() if name in names}
+
+
+def _part(entry: dict[str, Any]) -> PartFit:
+    alone = {name: tuple(pair) for name, pair in entry["alone"].items()}
+    return PartFit(**{**entry, "alone": alone})
+
+
+def _with_tuple(entry: dict[str, Any], key: str) -> dict[str, Any]:
+    return {**entry, key: tuple(entry[key])}
 
 
 def _with_tuples(entry: dict[str, Any]) -> dict[str, Any]:

@@ -204,8 +204,8 @@ def from_equal_area(x: ArrayLike, y: ArrayLike) -> FloatArray:
     return np.stack([x * scale, y * scale, 1 - q], axis=-1)
 
 
-def rotated(vectors: ArrayLike, psi: float) -> FloatArray:
-    """Vectors (..., 3) seen from a frame turned by `psi` about z: phi_new = phi - psi.
+def rotated(vectors: ArrayLike, psi: float | FloatArray) -> FloatArray:
+    """Vectors (..., 3) seen from a frame turned by `psi` (...) about z: phi_new = phi - psi.
 
     Examples
     --------

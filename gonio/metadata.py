@@ -218,6 +218,13 @@ class Limits(_Record):
         description="estimate of the room light on the sample, as a fraction of the lamp's "
         "irradiance at normal incidence; frames without a sample do not hold it",
     )
+    u_azimuth_deg: float | None = Field(
+        default=None,
+        ge=0,
+        le=45,
+        description="standard uncertainty of the azimuth at which the sample lies: the zero of "
+        "its rotation",
+    )
 
 
 class Channel(_Record):

@@ -66,8 +66,8 @@ class Cells:
 class SharedTerm:
     """An error that many samples share: one unknown number with unit variance for each group.
 
-    It moves viewing directions (`shift`, `blur`) or values, by `relative` times the value times
-    `profile`, plus `offset`.
+    It moves viewing directions (`shift`, `blur`), turns the sample (`turn`), or changes values, by
+    `relative` times the value times `profile`, plus `offset`.
 
     Parameters
     ----------
@@ -88,6 +88,12 @@ class SharedTerm:
     offset : ndarray, shape (N,), optional
         Change of the sample's value for one standard deviation whatever the value is, sr^-1; it
         adds to what `relative` does.
+    turn : float
+        Standard deviation of a turn of the sample about its normal, counter-clockwise, radians:
+        it takes both directions along; used in place of `relative` where positive.
+    typical : bool
+        True where the term stands for errors of many shapes by a typical one, as for an uneven
+        dome: it says how far parameters may be off, and is no unknown that data could tell.
     """
 
     name: str
@@ -98,6 +104,8 @@ class SharedTerm:
     blur: float = 0.0
     profile: FloatArray | None = None
     offset: FloatArray | None = None
+    turn: float = 0.0
+    typical: bool = False
 
     def select(self, keep: NDArray[np.int64]) -> SharedTerm:
         """The term for these samples."""
@@ -111,8 +119,8 @@ class SharedTerm:
 
     @property
     def moves_directions(self) -> bool:
-        """Whether the error is one of the viewing direction and not of the value."""
-        return self.shift is not None or self.blur > 0
+        """Whether the error is one of directions and not of the value."""
+        return self.shift is not None or self.blur > 0 or self.turn > 0
 
     def change(self, value: FloatArray) -> FloatArray:
         """Change of values (N,) for one standard deviation; 0 where it `moves_directions`."""
@@ -339,6 +347,8 @@ def _to_dataset(samples: BRDFSamples) -> Any:
                 "meaning": term.meaning,
                 "relative": term.relative,
                 "blur": term.blur,
+                "turn": term.turn,
+                "typical": term.typical,
             }
         )
         if term.group is not None:
@@ -396,6 +406,8 @@ def _from_dataset(dataset: Any) -> BRDFSamples:
             float(item["blur"]),
             column(f"shared_{k}_profile"),
             column(f"shared_{k}_offset"),
+            float(item.get("turn", 0.0)),
+            bool(item.get("typical", False)),
         )
         for k, item in enumerate(json.loads(dataset.attrs["shared"]))
     )

@@ -313,6 +313,7 @@ class Draws:
     dome_seed: int  # the dome's slope errors and coating
     noise_seed: int
     multibounce_scale: float  # the true g over the stated one
+    azimuth: float = 0.0  # turn of the sample that its rotations do not count, radians
 
     @classmethod
     def from_seed(cls, seed: int, rig: Instrument, plan: Plan) -> Draws:
@@ -330,8 +331,14 @@ class Draws:
         multibounce = 1.0
         if rig.surroundings.multibounce_uncertainty:
             multibounce += rig.surroundings.multibounce_uncertainty * rng.standard_normal()
+        azimuth = rig.holder.azimuth_deg
+        if rig.holder.u_azimuth_deg:
+            azimuth += rig.holder.u_azimuth_deg * rng.standard_normal()
         pattern, dome, noise = (int(s) for s in seeds)
-        return cls(float(standard), lamp, pattern, dome, noise, max(multibounce, 0.0))
+        return cls(
+            float(standard), lamp, pattern, dome, noise, max(multibounce, 0.0),
+            float(np.radians(azimuth)),
+        )  # fmt: skip
 
 
 def _write_truth(
@@ -357,6 +364,7 @@ def _write_truth(
         **recipe,
         "standard_scale": draws.standard_scale,
         "multibounce_scale": draws.multibounce_scale,
+        "azimuth_deg": float(np.degrees(draws.azimuth)),
         "lamp": draws.lamp.ravel().tolist(),  # channels of an image stand together
         "entry_transmittance": [{"theta_i_deg": a, "relative": t} for a, t in entry.items()],
     }
@@ -377,8 +385,9 @@ def _record(
     from gonio.instrument.images import Fixed, Images
 
     fixed = Fixed(
-        draws.dome_seed, draws.pattern_seed, draws.standard_scale, draws.multibounce_scale
-    )
+        draws.dome_seed, draws.pattern_seed, draws.standard_scale, draws.multibounce_scale,
+        draws.azimuth,
+    )  # fmt: skip
     images = Images(rig, surface, plan, fixed, threads=threads)
     truth = _truth_images(session, images) if truth_images else None
     writer = ThreadPoolExecutor(1)

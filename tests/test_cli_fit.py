@@ -117,7 +117,8 @@ def test_a_posterior_that_has_not_converged_leaves_with_1(gonio, table, monkeypa
     original = posterior.sample
     monkeypatch.setattr(posterior, "BLOCK_STEPS", 10)
     monkeypatch.setattr(posterior, "sample", lambda *a, **k: original(*a, max_steps=10, **k))
-    code, out, _ = gonio("fit", table(), "--model", "oren_nayar", "--posterior")
+    words = ("--model", "oren_nayar", "--posterior", "--sampler", "emcee")
+    code, out, _ = gonio("fit", table(), *words)
     assert code == 1
     assert "status: converged" in out
     assert "posterior: NOT converged" in out

@@ -25,6 +25,7 @@ sys.path.insert(0, str(DOCS / "_ext"))
 
 import command_pages  # noqa: E402
 import model_pages  # noqa: E402
+import render_pictures  # noqa: E402
 
 NAMES = models.names()
 every_model = pytest.mark.parametrize("name", NAMES)
@@ -310,6 +311,9 @@ def generated() -> set[Path]:
         DOCS / f"_generated/commands/{words.replace(' ', '_')}.md"
         for words in command_pages.commands()
     }
+    made |= {DOCS / "_generated/render" / name for name in render_pictures.PICTURES}
+    notebooks = [p.stem for p in (ROOT / "notebooks").glob("[!_]*.py") if p.stem != "run"]
+    made |= {DOCS / "_generated/papers" / f"{name}.md" for name in ["index", *notebooks]}
     return made
 
 

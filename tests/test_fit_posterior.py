@@ -13,9 +13,14 @@ from scipy import stats
 import gonio
 from gonio import models
 from gonio.errors import DataError
-from gonio.fitting import optimise, posterior, uncertainty
+from gonio.fitting import marginal, optimise, posterior, uncertainty
+from gonio.fitting import target as targets
+from gonio.fitting.priors import Prior
 from gonio.fitting.problem import Problem
+from gonio.fitting.proposal import SHARES, Proposal
+from gonio.fitting.target import MarginalTarget, Target
 from gonio.geometry import Directions
+from gonio.models import Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
 
 ISOTROPIC = {"rho_d": 0.3, "rho_s": 0.1, "alpha": 0.2}
@@ -36,32 +41,27 @@ def noisy(name, truth, *, n=200, sd=1e-3, seed=2, where=None, **columns):
     return BRDFSamples(where, value, u_independent=np.full(len(f), sd), **columns)
 
 
-class Density:
-    """A known log-density in a box, called as the likelihood is."""
+class Density(Target):
+    """A known log-density in a box."""
 
-    def __init__(self, log_density, lower, upper):
+    def __init__(self, log_density, lower, upper, mode):
+        bounds = zip(lower, upper, strict=True)
+        parameters = tuple(
+            Parameter(f"p{k}", "p", "", 0.0, a, b) for k, (a, b) in enumerate(bounds)
+        )
+        problem = SimpleNamespace(parameters=parameters)
+        super().__init__(problem, mode, 1.0, [Prior()] * len(parameters))
         self.log_density = log_density
-        self.lower, self.upper = np.array(lower), np.array(upper)
 
-    def __call__(self, batch):
-        inside = np.all((batch >= self.lower) & (batch <= self.upper), axis=1)
-        result = np.full(len(batch), -np.inf)
-        result[inside] = self.log_density(batch[inside])
-        return result
+    def sums(self, p):
+        return -2 * self.log_density(p)[:, None]
 
 
-def run(density, mode, covariance, steps, seed=1):
-    """The moves of the posterior on a known density, (draws, P), and the effective number."""
-    bounds = zip(density.lower, density.upper, strict=True)
-    parameters = [SimpleNamespace(lower=a, upper=b) for a, b in bounds]
-    problem = SimpleNamespace(model=SimpleNamespace(parameters=parameters))
-    optimum = SimpleNamespace(p=np.array(mode), curvature=np.linalg.inv(covariance))
-    errors = SimpleNamespace(
-        independent=np.array(covariance), determined=np.ones(len(mode), bool), noise_scale=1.0
-    )
+def run(density, covariance, steps, seed=1):
+    """The moves of emcee on a known density: draws (draws, P), and the effective number."""
     rng = np.random.default_rng(seed)
-    chain, (_, _, ess), _ = posterior._run(problem, optimum, errors, density, rng, steps, None)
-    return chain.reshape(-1, len(mode)), ess
+    chain = posterior._by_emcee(density, np.array(covariance), rng, steps, None)
+    return chain.draws.reshape(-1, len(covariance)), chain.measures.ess_bulk
 
 
 def test_the_moves_sample_a_truncated_gaussian():
@@ -69,9 +69,9 @@ def test_the_moves_sample_a_truncated_gaussian():
     rho = 0.8
     inverse = np.linalg.inv([[1, rho], [rho, 1]])
     density = Density(
-        lambda b: -0.5 * np.einsum("ni,ij,nj->n", b, inverse, b), [0.5, -20], [20, 20]
+        lambda b: -0.5 * np.einsum("ni,ij,nj->n", b, inverse, b), [0.5, -20], [20, 20], [0.5, 0.4]
     )
-    draws, ess = run(density, [0.5, 0.4], [[1, rho], [rho, 1]], 1000)
+    draws, ess = run(density, [[1, rho], [rho, 1]], 1000)
     x = stats.truncnorm(0.5, 20)
     # Means to 4 standard errors, variances to 4 sqrt(3/ESS) of themselves.
     assert ess > 1000
@@ -87,7 +87,10 @@ def test_each_move_alone_leaves_a_gaussian_as_it_is(move):
     if move == "_SnookerMove":
         moves = posterior._SnookerMove()
     else:
-        moves = posterior._IndependenceMove(np.array([0.3, 0.0]), np.diag([1.5, 0.8]))
+        box = Density(None, [-20, -20], [20, 20], [0.0, 0.0])
+        whole = np.array([0.3, 0.0]), np.diag([1.5, 0.8]) ** 2
+        each = (whole[0][None], whole[1][None], np.ones(1))
+        moves = posterior._IndependenceMove(Proposal.about(box, *each, whole, SHARES))
     sampler = emcee.EnsembleSampler(
         32, 2, lambda b: -0.5 * np.sum(b**2, axis=1), moves=moves, vectorize=True
     )
@@ -129,12 +132,14 @@ def test_draws_have_the_covariance_of_the_fit_where_the_noise_is_small():
     draws = chain.draws.reshape(-1, 3)
     sd = np.sqrt(np.diag(errors.covariance))
     np.testing.assert_allclose(
-        draws.mean(axis=0), optimum.p, atol=5 * sd.max() / np.sqrt(chain.ess)
+        draws.mean(axis=0), optimum.p, atol=5 * sd.max() / np.sqrt(chain.measures.ess_bulk)
     )
     z = np.cov((draws / sd).T)
     # 4 standard errors of a variance, and 1 % for the curvature of the model.
     np.testing.assert_allclose(
-        z, errors.covariance / np.outer(sd, sd), atol=4 * np.sqrt(2 / chain.ess) + 0.01
+        z,
+        errors.covariance / np.outer(sd, sd),
+        atol=4 * np.sqrt(2 / chain.measures.ess_bulk) + 0.01,
     )
 
 
@@ -149,7 +154,7 @@ def test_shared_terms_move_the_draws():
 
 
 def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
-    monkeypatch.setattr(posterior, "EXACT_MEMBERS", 0)  # the batched likelihood
+    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)  # the batched likelihood
     # More samples than one block of the likelihood, so that two threads have work.
     samples = noisy("lambert", {"rho": 0.4}, n=16_500, sd=5e-3)
 
@@ -161,7 +166,7 @@ def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
 
     one, two, other = chain(7, 1), chain(7, 2), chain(8, 1)
     np.testing.assert_array_equal(one.draws, two.draws)
-    assert (one.tau, one.r_hat, one.ess) == (two.tau, two.r_hat, two.ess)
+    assert one.measures == two.measures
     assert not np.any(one.draws == other.draws)
 
 
@@ -174,9 +179,7 @@ def test_the_global_generator_is_neither_used_nor_moved():
     np.testing.assert_array_equal(np.random.mtrand._rand.get_state()[1], before)
 
 
-def test_at_a_bound_the_posterior_is_one_sided(monkeypatch):
-    original = posterior.sample
-    monkeypatch.setattr(posterior, "sample", lambda *a, **k: original(*a, max_steps=600, **k))
+def test_at_a_bound_the_posterior_is_one_sided():
     truth = {"rho_d": 0.3, "rho_s": 0.0005, "alpha": 0.2}
     samples = noisy("ward_isotropic", truth, n=60, sd=0.01, seed=3)
     rho_s = gonio.fit(samples, model="ward_isotropic", posterior=True).parameters["rho_s"]
@@ -205,7 +208,9 @@ def test_a_chain_too_short_says_so(monkeypatch):
     monkeypatch.setattr(posterior, "BLOCK_STEPS", 10)
     original = posterior.sample
     monkeypatch.setattr(posterior, "sample", lambda *a, **k: original(*a, max_steps=10, **k))
-    result = gonio.fit(noisy("ward_isotropic", ISOTROPIC), model="ward_isotropic", posterior=True)
+    result = gonio.fit(
+        noisy("ward_isotropic", ISOTROPIC), model="ward_isotropic", posterior=True, sampler="emcee"
+    )
     assert result.status == "converged"
     assert not result.posterior.converged
     assert not result.ok
@@ -221,7 +226,7 @@ def test_progress_is_told():
     told = []
     gonio.fit(
         noisy("lambert", {"rho": 0.4}, n=50), model="lambert", posterior=True,
-        progress=lambda *steps: told.append(steps),
+        sampler="emcee", progress=lambda *steps: told.append(steps),
     )  # fmt: skip
     assert told[0] == (posterior.BLOCK_STEPS, posterior.MAX_STEPS)
 
@@ -252,7 +257,7 @@ def test_arviz_opens_the_draws_in_degrees(tmp_path):
     low, high = result.parameters["sigma"].interval_95
     np.testing.assert_allclose(np.quantile(sigma, [0.025, 0.975]), [low, high], rtol=1e-12)
     assert np.degrees(0.4) == pytest.approx(float(sigma.mean()), rel=0.1)
-    assert sigma.shape[0] == posterior.WALKERS
+    assert sigma.shape[0] == marginal.CHAINS
     data.close()
 
 
@@ -277,27 +282,32 @@ def celled(sd, spread=0.02, n=400, members=4):
 
 def test_cell_factors_keep_the_likelihood(monkeypatch):
     problem, optimum, errors = celled(1e-3)
-    monkeypatch.setattr(posterior, "EXACT_MEMBERS", 0)
-    fast = posterior._Likelihood(problem, optimum.p, 1.0)
+    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
+    spread = np.sqrt(np.diag(errors.covariance))
+    fast = MarginalTarget(problem, optimum.p, 1.0, [Prior()] * 3, spread)
     assert not fast.exact
     root = np.linalg.cholesky(errors.covariance)
     batch = optimum.p + np.random.default_rng(3).standard_normal((50, 3)) @ root.T
     exact = np.array([-0.5 * problem.chi2(p) for p in batch])
-    assert np.ptp(fast(batch) - exact) < posterior.TOLERANCE
+    assert np.ptp(fast.log_likelihood(batch) - exact) < targets.TOLERANCE
     # Without the factors the cells would be missed by far more.
-    fast.factor[:, 0], fast.factor[:, 1:] = 1, 0
-    assert np.ptp(fast(batch) - exact) > 2 * posterior.TOLERANCE
+    for factor in fast.factors:
+        factor[:, 0], factor[:, 1:] = 1, 0
+    assert np.ptp(fast.log_likelihood(batch) - exact) > 2 * targets.TOLERANCE
+    # Nothing is expanded where the cells are integrated over.
+    fast.exact = True
+    assert np.ptp(fast.log_likelihood(batch) - exact) < 1e-6
     chain = posterior.sample(problem, optimum, errors, seed=1)
     assert chain.warnings == []
 
 
 def test_a_broad_posterior_falls_back_to_the_cells(monkeypatch):
     problem, optimum, errors = celled(0.1, spread=0.2, n=100)
-    monkeypatch.setattr(posterior, "EXACT_MEMBERS", 0)
+    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
     slow = posterior.sample(problem, optimum, errors, seed=1, max_steps=300)
     assert slow.warnings == [
         "the lobe changes over the cells within the posterior: the likelihood was integrated over "
         "every cell, which is slower."
     ]
-    monkeypatch.setattr(posterior, "EXACT_MEMBERS", 10**9)
+    monkeypatch.setattr(targets, "EXACT_MEMBERS", 10**9)
     assert posterior.sample(problem, optimum, errors, seed=1, max_steps=300).warnings == []

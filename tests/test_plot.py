@@ -23,7 +23,7 @@ from gonio.instrument import Instrument, preset
 from gonio.metadata import Plan
 from gonio.plot.frames import pixel_of
 from gonio.plot.lobe import in_plane
-from gonio.plot.style import DPI
+from gonio.plot.style import COLOURS, DPI
 from gonio.plot.summary import recovered
 from gonio.samples import BRDFSamples
 from gonio.session import Session
@@ -389,7 +389,8 @@ def test_plot_goes_on_without_draws(run, fitted):
     fitted.with_name("shiny.draws.nc").unlink()
     code, err = run("plot", fitted)
     assert code == 0
-    assert "the draws shiny.draws.nc are not there: the posterior is left out" in err
+    expected = "Left out of the picture: The draws: shiny.draws.nc is neither in the current folder"
+    assert expected in err
 
 
 def edited(path: Path, **changes) -> Path:
@@ -414,10 +415,184 @@ def test_refusals_are_one_clear_sentence(run, fitted, tmp_path):
     (tmp_path / "odd.json").write_text("{}")
     assert "not a readable fit" in refused(tmp_path / "odd.json", code=3)
     edited(fitted, n_samples=7)
-    assert "the file has changed since" in refused(fitted, code=3)
+    assert "the fit was made to 7; it has changed since" in refused(fitted, code=3)
     fitted.with_name("shiny.nc").unlink()
     text = refused(fitted, code=3)
-    assert "was fitted to shiny.nc, which is neither in the current folder nor" in text
+    assert "shiny.nc is neither in the current folder nor beside the fit. Change to the" in text
     edited(fitted, source={})
-    assert "does not say which samples it was fitted to" in refused(fitted, code=3)
+    assert "the fit does not say which samples it was made to" in refused(fitted, code=3)
     assert not list(tmp_path.glob("*.jpg")) + list(tmp_path.glob(".*"))
+
+
+# ---------------------------------------------------------------- one kind of picture
+
+
+@pytest.mark.parametrize("kind", ["slices", "hemisphere", "residuals", "lobe", "solid", "albedo"])
+def test_each_kind_of_a_fit_is_drawn(run, fitted, tmp_path, kind):
+    code, err = run("plot", fitted, "--kind", kind, "-o", tmp_path / "one.png")
+    assert code == 0, err
+    assert png_size(tmp_path / "one.png")[0] > 400
+
+
+def test_a_session_has_frames_and_a_hemisphere(run, session, tmp_path):
+    for kind in ("frames", "hemisphere"):
+        code, err = run("plot", session.path, "--kind", kind, "-o", tmp_path / "one.png")
+        assert code == 0, err
+
+
+def test_models_and_materials_are_drawn_by_name(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("plot", "model:oren_nayar", "-p", "sigma=30") == (0, "written to oren_nayar.png\n")
+    given = ("--kind", "hemisphere", "-o", "map.svg")
+    assert run("plot", "material:rolled_brass", *given) == (0, "written to map.svg\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"oren_nayar.png", "map.svg"}
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["model:wrd"], "unknown model 'wrd': did you mean 'ward'"),
+        (["material:brass"], "unknown material 'brass'"),
+        (["model:ward", "--kind", "slices"], "--kind slices is drawn of samples, and model:ward"),
+        (["model:ward", "--kind", "pie"], "unknown kind of picture 'pie'"),
+        (["model:ward", "-p", "rho_d=7"], "rho_d = 7 is out of range"),
+    ],
+)
+def test_what_has_no_such_picture_is_refused(run, tmp_path, monkeypatch, words, match):
+    monkeypatch.chdir(tmp_path)
+    code, err = run("plot", *words)
+    assert code == 2
+    assert match in err
+
+
+def test_parameters_of_a_file_cannot_be_changed(run, fitted):
+    code, err = run("plot", fitted, "-p", "rho_d=0.1")
+    assert code == 2
+    assert "-p goes with model:NAME or material:NAME" in err
+
+
+# ---------------------------------------------------------------- the hemisphere
+
+
+def colours(ax: Axes) -> np.ndarray:
+    return np.concatenate([np.ravel(c.get_array()) for c in ax.collections])
+
+
+def test_the_map_of_a_model_has_its_peak_at_the_mirror_direction():
+    axes = plot.hemisphere_map("ward", {"alpha_x": 0.1, "alpha_y": 0.1}, theta_i=np.radians([40.0]))
+    (mesh,) = axes[0].collections
+    at = np.asarray(mesh.get_coordinates()).reshape(-1, 2)[int(np.argmax(mesh.get_array()))]
+    # The equal-area map has the radius sqrt(2) sin(theta/2); the peak is a little beyond 40 deg.
+    np.testing.assert_allclose(at, [-np.sqrt(2) * np.sin(np.radians(20)), 0], atol=0.02)
+    assert mesh.norm.vmax == mesh.get_array().max()
+    assert axes[0].get_title().endswith("= 40°")
+
+
+def test_all_maps_have_one_scale_and_one_colour_bar():
+    axes = plot.hemisphere_map("oren_nayar", {"sigma": 0.5})
+    assert len({(ax.collections[0].norm.vmin, ax.collections[0].norm.vmax) for ax in axes}) == 1
+    assert len(axes[0].figure.axes) == len(axes) + 1
+    assert axes[0].figure.axes[-1].get_ylabel() == "BRDF $f$ (sr$^{-1}$)"
+
+
+def test_an_even_surface_is_shown_as_even():
+    axes = plot.hemisphere_map("lambert", {"rho": 0.5}, theta_i=[0.0])
+    norm = axes[0].collections[0].norm
+    assert norm.vmin < 0.5 / np.pi < norm.vmax
+
+
+def test_the_map_of_samples_shows_every_sample_of_its_incidences(samples):
+    axes = plot.hemisphere_samples(samples)
+    theta_i = np.degrees(np.broadcast_to(samples.directions.theta_i, len(samples)))
+    phi_i = np.broadcast_to(samples.directions.phi_i, len(samples))
+    for ax, angle in zip(axes, (10, 30, 50), strict=True):
+        own = (np.abs(theta_i - angle) < 0.1) & (np.abs(phi_i) < 0.01) & (samples.value > 0)
+        shown = [c for c in ax.collections if c.get_array() is not None]
+        assert sum(len(c.get_array()) for c in shown) == own.sum()
+
+
+def test_residuals_tell_their_sign_by_shape_and_their_unit(samples, fit):
+    axes = plot.residual_map(samples, fit)
+    assert axes[0].figure.axes[-1].get_ylabel() == "measured − fitted (standard uncertainties)"
+    for ax in axes:
+        up, down = ax.collections
+        assert np.all(up.get_array() >= 0)
+        assert np.all(down.get_array() < 0)
+        # A triangle that points up has its single vertex above.
+        assert up.get_paths()[0].vertices[0][1] > 0 > down.get_paths()[0].vertices[0][1]
+
+
+def test_residuals_of_the_true_model_are_noise(samples, fit):
+    z = np.concatenate([colours(ax) for ax in plot.residual_map(samples, fit)])
+    assert abs(z.mean()) < 0.3
+    assert 0.7 < z.std() < 1.5
+
+
+def test_another_number_of_axes_is_refused(samples):
+    with pytest.raises(ConfigurationError, match="1 axes were given for 3 maps; give one for each"):
+        plot.hemisphere_samples(samples, [Figure().subplots()])
+    with pytest.raises(ConfigurationError, match=r"theta_i = 1\.6 rad is not above the horizon"):
+        plot.hemisphere_map("ward", theta_i=[1.6])
+    with pytest.raises(DataError, match="f is nowhere above 0"):
+        plot.hemisphere_map("lambert", {"rho": 0.0})
+
+
+# ---------------------------------------------------------------- albedo
+
+
+def test_the_albedo_curve_is_the_albedo():
+    from gonio.checks import directional_albedo
+
+    ax = plot.albedo_curve("ward", SHINY)
+    planes = [line for line in ax.lines if len(line.get_xdata()) > 2]
+    assert [line.get_label() for line in planes] == [
+        r"$φ_{\mathrm{i}}$ = 0°", r"$φ_{\mathrm{i}}$ = 90°"
+    ]  # fmt: skip
+    theta, albedo = planes[1].get_data()
+    k = int(np.argmin(np.abs(theta - 60)))
+    expected = directional_albedo(models.get("ward"), SHINY, np.radians(60), np.pi / 2).value
+    assert albedo[k] == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_albedo_curve_shows_what_is_claimed_and_what_is_possible():
+    labels = [line.get_label() for line in plot.albedo_curve("ward_gmd", SHINY).lines]
+    assert "at most rho_d + rho_s" in labels
+    # Oren and Nayar's approximation gives back more than it receives at small sigma.
+    labels = [line.get_label() for line in plot.albedo_curve("oren_nayar", {"rho": 1.0}).lines]
+    assert "1: all light comes back" in labels
+    assert plot.albedo_curve("lambert", {"rho": 0.2}).get_ylim()[0] == 0
+
+
+def luminance(rgb) -> float:
+    return float(np.dot(np.asarray(rgb)[:3], [0.2126, 0.7152, 0.0722]))
+
+
+def test_colours_of_lines_differ_in_grey():
+    from matplotlib.colors import to_rgb
+
+    grey = [luminance(to_rgb(colour)) for colour in COLOURS[:4]]
+    assert min(abs(a - b) for k, a in enumerate(grey) for b in grey[:k]) > 0.03
+
+
+def test_the_map_of_f_reads_in_grey():
+    grey = [luminance(mpl.colormaps["viridis"](x)) for x in np.linspace(0, 1, 20)]
+    assert np.all(np.diff(grey) > 0)
+
+
+# ---------------------------------------------------------------- a lobe in space
+
+
+def test_the_solid_is_longest_along_the_mirror_direction(monkeypatch):
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+    drawn = []
+    monkeypatch.setattr(Axes3D, "plot_surface", lambda ax, *xyz, **how: drawn.append(xyz))
+    ax = plot.lobe_solid("ward", {"alpha_x": 0.1, "alpha_y": 0.1}, theta_i=np.radians(40.0))
+    corners = np.stack(drawn[0], axis=-1).reshape(-1, 3)
+    r = np.linalg.norm(corners, axis=1)
+    mirror = [-np.sin(np.radians(40)), 0, np.cos(np.radians(40))]
+    assert corners[r.argmax()] / r.max() @ mirror > np.cos(np.radians(3))
+    assert r.max() <= 1
+    assert "logarithmic" in ax.get_title()
+    with pytest.raises(ConfigurationError, match=r"theta_i = 1\.6 rad is not above the horizon"):
+        plot.lobe_solid("ward", theta_i=1.6)

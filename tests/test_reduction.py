@@ -1,6 +1,7 @@
 """Raw frames to samples: a recovery without bias, honest uncertainties, frames of reference."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,10 +9,11 @@ import pytest
 import gonio
 from gonio import models
 from gonio.calibration.reflector import camera_angles, solid_angle_ratio
+from gonio.calibration.shared_terms import _slope_terms
 from gonio.errors import DataError
-from gonio.geometry import unit_vectors
+from gonio.geometry import rotated, unit_vectors
 from gonio.instrument import Instrument, preset
-from gonio.metadata import Plan
+from gonio.metadata import Limits, Plan
 from gonio.samples import BRDFSamples
 from gonio.session import Session
 
@@ -311,7 +313,12 @@ def test_slope_errors_move_and_stretch_a_lobe_but_not_beyond_their_size(tmp_path
     session = record(tmp_path / "s", small(dome=dome), rotations_deg=(0.0, 90.0))
     samples = gonio.reduce(session)
     terms = {t.name: t for t in samples.shared if t.name.startswith("dome slope")}
-    assert set(terms) == {"dome slope, shift", "dome slope, in plane", "dome slope, across"}
+    stretches = [
+        f"dome slope, {n}" for n in ("in plane", "across", "shear in plane", "shear across")
+    ]
+    assert set(terms) == {"dome slope, shift", *stretches}
+    # None of them is the dome's own field: a fit must not learn them.
+    assert all(term.typical for term in terms.values())
     w_i, w_r = samples.directions.vectors()
     mirror = w_i * [-1, -1, 1]
     apart = np.linalg.norm(w_r - mirror, axis=1)
@@ -324,9 +331,31 @@ def test_slope_errors_move_and_stretch_a_lobe_but_not_beyond_their_size(tmp_path
         # Incidences 30 deg apart see other parts of the dome, rotations the same.
         assert len(np.unique(term.group)) == 3
     # A stretch leaves the lobe's centre where it is and grows to the full size L away.
-    for name in ("dome slope, in plane", "dome slope, across"):
+    for name in stretches:
         size = np.linalg.norm(terms[name].shift, axis=1)
         assert np.all(size <= largest * apart / np.radians(10.0) * (1 + 1e-9))
+
+
+@pytest.mark.parametrize("psi_deg", [0, 45, 70])
+def test_slope_errors_stretch_a_lobe_alike_in_every_direction(psi_deg):
+    # Directions on a circle of 3 deg about the mirror direction, the sample turned by psi.
+    theta_i, psi, apart = np.radians([30.0, psi_deg, 3.0])
+    around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = unit_vectors(np.full(24, apart), around)
+    lean = np.array([[np.cos(theta_i), 0, np.sin(theta_i)], [0, 1, 0],
+                     [-np.sin(theta_i), 0, np.cos(theta_i)]])  # fmt: skip
+    w_r = rotated(ring @ lean, psi)
+    mirror = rotated(np.array([0.0, 0.0, 1.0]) @ lean, psi)
+    part = SimpleNamespace(theta_i=theta_i, psi=psi, centroid=w_r)
+    stated = SimpleNamespace(
+        limits=Limits(slope_error_deg=0.05, slope_correlation_deg=10.0),
+        plan=SimpleNamespace(theta_i_deg=(30.0,)),
+    )
+    terms = _slope_terms(stated, [part], np.zeros(24, np.int64))
+    outwards = (w_r - mirror) / np.linalg.norm(w_r - mirror, axis=1, keepdims=True)
+    along = [np.sum(t.shift * outwards, axis=1) for t in terms if t.name != "dome slope, shift"]
+    spread = np.sqrt(np.sum(np.square(along), axis=0))
+    np.testing.assert_allclose(spread, 2 * np.radians(0.05) * 3 / 10, rtol=0.01)
 
 
 def test_the_shape_of_an_uncertified_standard_is_an_uncertainty(tmp_path):

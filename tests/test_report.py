@@ -26,7 +26,7 @@ from gonio.report import Inputs, budget, gather, lobe, page, posterior, residual
 from gonio.report.markup import UNKNOWN
 
 TRUE = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.15, "alpha_y": 0.2}
-SECTIONS = ["parameters", "lobe", "residual", "goodness", "posterior", "uncertainty",
+SECTIONS = ["parameters", "lobe", "residual", "goodness", "diagnosis", "posterior", "uncertainty",
             "measurement", "reproduce"]  # fmt: skip
 EVIL = "<script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>\"&"
 VOID = {"meta", "img", "br", "input", "link"}

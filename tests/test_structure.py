@@ -58,6 +58,7 @@ ALLOWED = {
     "calibration": FOUNDATION | {"session", "metadata", "samples", "board", "kernels.threads"},
     "fitting": FOUNDATION | {"samples", "models", "kernels"},
     "formats": FOUNDATION | {"samples"},
+    "render": SURFACE,
     "plot": ALL,
     "report": ALL,
     "cli": ALL,

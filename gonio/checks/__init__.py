@@ -1,8 +1,8 @@
 """Checks of models and of measured samples: reciprocity, sign, energy, symmetry, quantity."""
 
-from gonio.checks.albedo import Albedo, bihemispherical_albedo, directional_albedo
 from gonio.checks.model import Finding, ModelReport, check_model
 from gonio.checks.samples import BRDF, UNDECIDED, Pairing, SamplesReport, check_samples
+from gonio.models.albedo import Albedo, bihemispherical_albedo, directional_albedo
 
 __all__ = [
     "BRDF",

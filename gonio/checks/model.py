@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from gonio.checks.albedo import Albedo, bihemispherical_albedo, directional_albedo
 from gonio.geometry import (
     FloatArray,
     angles,
@@ -17,6 +16,7 @@ from gonio.geometry import (
     unit_vectors,
 )
 from gonio.models import Model
+from gonio.models.albedo import Albedo, bihemispherical_albedo, directional_albedo
 
 ALBEDO_ANGLES_DEG = (0.0, 30.0, 45.0, 60.0, 75.0, 85.0)
 SAME = 1e-9  # relative difference up to which two values of a formula are equal

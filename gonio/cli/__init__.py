@@ -29,6 +29,7 @@ _COMMANDS = {
     "compare": "Tell which of several models BRDF samples prefer.",
     "plot": "Draw BRDF samples or a fit.",
     "report": "Write a fit as one HTML page.",
+    "render": "Draw a simple scene of one material.",
     "evaluate": "Evaluate a model at the directions of a file.",
     "budget": "List where the uncertainty of the samples comes from.",
     "check": "Check a model or a file: reciprocity, energy, which quantity.",

@@ -176,7 +176,7 @@ def _remarks(report: dict[str, Any]) -> list[str]:
     if through:
         lines.append(
             f"Not counted here: {', '.join(through)}. A blur acts through the curvature of the "
-            "lobe; 'gonio fit' counts it."
+            "lobe, a turn of the sample through both directions at once; 'gonio fit' counts them."
         )
     for source in report["unknown"]:
         lines.append(f"UNKNOWN, not counted: {source}.")

@@ -9,19 +9,36 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli import explain, posteriors
 from gonio.cli.measured import WEIGHTS, read_samples, sample_options
+from gonio.cli.posteriors import posterior_options, read_priors
 from gonio.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from gonio.fitting.result import Estimate, FitResult
     from gonio.models import Model
     from gonio.samples import BRDFSamples
 
+# As `gonio.fitting.engines` and `losses` name them, which are slow to load.
+ENGINES = ("gauss_newton", "slsqp", "lbfgs", "mma", "bobyqa", "sbplx", "mlsl")
+LOSSES = ("chi2", "log", "cube_root", "student_t")
+_HINT = "Or fit them together with --share NAME,..., the parameters that they have in common."
+
 
 @click.command(name="fit")
-@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument(
+    "sources", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 @click.option("--model", "model_name", required=True, metavar="MODEL", help="Model to fit.")
 @sample_options
+@click.option(
+    "--share",
+    metavar="NAME,...|all|none",
+    help="Fit all channels, wavelengths and inputs together, with these parameters in common; each "
+    "has its own values of the others.",
+)
 @click.option(
     "--start",
     "starts",
@@ -29,7 +46,22 @@ if TYPE_CHECKING:
     metavar="NAME=VALUE",
     help="Starting value; without any, the data suggest them.",
 )
-@click.option("--posterior", is_flag=True, help="Sample the posterior with emcee.")
+@click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True,
+              help="What searches for the minimum before the Gauss-Newton steps in which every fit "
+              "ends.")  # fmt: skip
+@click.option("--loss", type=click.Choice(LOSSES), default=LOSSES[0], show_default=True,
+              help="What is made small: squared residuals, squared differences of "
+              "ln(1 + f cos theta_r) or of (f cos theta_r)^(1/3), or Student's t, which outliers "
+              "hardly move.")  # fmt: skip
+@click.option(
+    "--nuisance",
+    default="none",
+    show_default=True,
+    metavar="all|none|NAME,...",
+    help="Shared errors that the fit may learn from the data, with priors from the session's "
+    "budget; the others are propagated. 'geometry' stands for every 'geometry, mode k'.",
+)
+@posterior_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
               help="Seed of everything random.")  # fmt: skip
 @click.option(
@@ -47,50 +79,84 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Where to write the result; the posterior's draws go beside it.",
 )
+@click.option(
+    "--explain",
+    "explained",
+    is_flag=True,
+    help="Show what the data say of each parameter, and where the residuals are.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
 @click.pass_context
 def command(
     ctx: click.Context,
-    source: Path,
+    sources: tuple[Path, ...],
     model_name: str,
     weights: Any,
     selections: tuple[str, ...],
     max_theta_i: float | None,
     max_theta_r: float | None,
+    share: str | None,
     starts: tuple[str, ...],
+    engine: str,
+    loss: str,
+    nuisance: str,
     posterior: bool,
+    sampler: Any,
+    priors: tuple[str, ...],
     seed: int,
     truth: Path | None,
     threads: int | None,
     output: Path | None,
+    explained: bool,
     as_json: bool,
 ) -> None:
     """Fit MODEL to the BRDF samples of INPUT.
 
-    INPUT is a session, a samples file, or any BRDF file that gonio reads. The exit code is 1
-    where the fit did not meet its own checks.
+    INPUT is a session, a samples file, or any BRDF file that gonio reads; several inputs are
+    several materials, fitted together with --share. The exit code is 1 where the fit did not meet
+    its own checks.
     """
+    from gonio.cli import joint
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.fitting.least_squares import fit
+    from gonio.fitting.nuisance import parsed
     from gonio.models import get
 
     model = get(model_name)
     start = _starts(model, starts) if starts else None
+    believed = read_priors(priors, posterior=posterior)
     if output is not None:
         check_target(output)
-    samples, cuts = read_samples(source, selections, max_theta_i, max_theta_r, threads)
-    known = _truth(source if truth is None else truth, model, samples, asked=truth is not None)
+    shared = None if share is None else joint.shared_names(model, share)
+    named = _inputs(sources, shared)
+    read = {
+        name: read_samples(
+            source, selections, max_theta_i, max_theta_r, threads,
+            several=share is not None, hint=f" {_HINT}",
+        )
+        for name, source in named.items()
+    }  # fmt: skip
+    cuts = next(iter(read.values()))[1]
+    inputs = {name: samples for name, (samples, _) in read.items()}
+    samples = next(iter(inputs.values())) if len(inputs) == 1 else inputs
+    known = _truths(named, inputs, truth, model)
     draws = output.with_suffix(".draws.nc") if posterior and output is not None else None
 
     def run(callback: Any = None) -> FitResult:
         return fit(
             samples,
             model=model,
+            share=shared,
             weights=weights,
             start=start,
+            engine=engine,
+            loss=loss,
+            nuisance=parsed(nuisance),
             posterior=posterior,
             draws=draws,
+            sampler=sampler,
+            priors=believed,
             seed=seed,
             threads=threads,
             cuts=cuts,
@@ -102,13 +168,16 @@ def command(
             result = run(callback)
     else:
         result = run()
-    result = replace(result, source={**result.source, "input": str(source), "truth": known})
+    true = joint.true_parameters(result, known) if result.parts else known[0]
+    origin = str(sources[0]) if len(sources) == 1 else [str(source) for source in sources]
+    result = joint.with_inputs(result, named)
+    result = replace(result, source={**result.source, "input": origin, "truth": true})
     if output is not None:
         result.save(output)
     if as_json:
         click.echo(result.to_json(), nl=False)
     else:
-        _tell(result, model, known, output)
+        _tell(result, model, true, output, explained=explained)
     if not result.ok:
         ctx.exit(1)
 
@@ -124,10 +193,46 @@ def _starts(model: Model, items: tuple[str, ...]) -> dict[str, float]:
         raise ConfigurationError(text, value=error.value) from None
 
 
-def _truth(
-    session: Path, model: Model, samples: BRDFSamples, *, asked: bool
-) -> dict[str, float] | None:
-    """True parameters in file units, where the session is a simulated one of this model."""
+def _inputs(sources: tuple[Path, ...], shared: tuple[str, ...] | None) -> dict[str, Path]:
+    """The inputs by name; several are refused where nothing says how they belong together."""
+    from gonio.cli.joint import input_names
+
+    if len(sources) > 1 and shared is None:
+        raise ConfigurationError(
+            f"{len(sources)} inputs are fitted together with --share NAME,..., the parameters that "
+            "they have in common, or --share none.",
+            value=[str(source) for source in sources],
+        )
+    return input_names(sources)
+
+
+def _truths(
+    named: dict[str, Path],
+    inputs: dict[str, BRDFSamples],
+    truth: Path | None,
+    model: Model,
+) -> list[dict[str, float] | None]:
+    """True parameters of every part, in file units, where the inputs are simulated sessions."""
+    from gonio.fitting.joint import split
+
+    found: list[dict[str, float] | None] = []
+    raw = {name: _truth(truth or path, model, asked=truth is not None)
+           for name, path in named.items()}  # fmt: skip
+    for channel in split(inputs):
+        name = channel.material or next(iter(named))
+        values = raw[name]
+        if values is None:
+            found.append(None)
+            continue
+        if any(isinstance(value, list) for value in values.values()):
+            k = _channel_index(truth or named[name], channel.samples)
+            values = {q: v[k] if isinstance(v, list) else v for q, v in values.items()}
+        found.append({q.name: q.to_file(values[q.name]) for q in model.parameters})
+    return found
+
+
+def _truth(session: Path, model: Model, *, asked: bool) -> dict[str, Any] | None:
+    """True parameters as a simulated session of this model holds them; a list is by channel."""
     from gonio.session import read_truth
 
     found = read_truth(session) if session.is_dir() else None
@@ -145,11 +250,7 @@ def _truth(
             err=True,
         )
         return None
-    true = {q.name: found["parameters"][q.name] for q in model.parameters}
-    if any(isinstance(value, list) for value in true.values()):
-        k = _channel_index(session, samples)
-        true = {name: v[k] if isinstance(v, list) else v for name, v in true.items()}
-    return {q.name: q.to_file(true[q.name]) for q in model.parameters}
+    return {q.name: found["parameters"][q.name] for q in model.parameters}
 
 
 def _channel_index(session: Path, samples: BRDFSamples) -> int:
@@ -178,12 +279,15 @@ def _channel_index(session: Path, samples: BRDFSamples) -> int:
 
 
 def _tell(
-    result: FitResult, model: Model, truth: dict[str, float] | None, output: Path | None
+    result: FitResult,
+    model: Model,
+    truth: dict[str, float] | None,
+    output: Path | None,
+    *,
+    explained: bool = False,
 ) -> None:
     """The result as a table, with warnings under it."""
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
 
     cuts = [
         f"{name} <= {limit:g} deg"
@@ -194,11 +298,47 @@ def _tell(
         if limit is not None
     ]
     cuts += [f"{key} = {value}" for key, value in result.cuts["select"].items()]
+    parts = f" in {len(result.parts)} parts" if result.parts else ""
     click.echo(f"{model.title} ({model.reference})")
     click.echo(
-        f"{result.n_samples} samples" + (f" with {', '.join(cuts)}" if cuts else "")
+        f"{result.n_samples} samples{parts}" + (f" with {', '.join(cuts)}" if cuts else "")
         + f"; weights: {WEIGHTS[result.weights]}"
     )  # fmt: skip
+    click.echo(f"loss: {result.loss}; engine: {result.engine}")
+    # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
+    console = Console(width=max(80, _terminal_width()), highlight=False, markup=False)
+    if result.parts:
+        from gonio.cli import joint
+
+        joint.show(result, truth, console)
+    else:
+        _show(result, truth, console)
+    known = result.weights == "sd" and result.loss == "chi2"
+    ratio = f"chi2/dof {result.chi2 / result.dof:.4g}, " if known else ""
+    click.echo(f"{ratio}status: {result.status.replace('_', ' ')}")
+    if result.posterior is not None:
+        for line in posteriors.lines(result.posterior):
+            click.echo(line)
+    if result.nuisance:
+        from gonio.cli import nuisance
+
+        for line in nuisance.lines(result.nuisance):
+            click.echo(line)
+    for line in explain.lines(result):
+        click.echo(line)
+    for warning in result.warnings:
+        click.echo(f"warning: {warning}")
+    if explained:
+        explain.show(result, console)
+    if output is not None:
+        click.echo(f"written to {output}", err=True)
+
+
+def _show(result: FitResult, truth: dict[str, float] | None, console: Console) -> None:
+    """One row a parameter."""
+    from rich import box
+    from rich.table import Table
+
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("parameter")
     for heading in ("value", "std. unc.", "95 % interval"):
@@ -207,26 +347,12 @@ def _tell(
         for heading in ("true", "error"):
             table.add_column(heading, justify="right", no_wrap=True)
     for name, estimate in result.parameters.items():
-        table.add_row(*_row(name, estimate, None if truth is None else truth[name]))
-    # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
-    console = Console(width=max(80, _terminal_width()), highlight=False, markup=False)
+        table.add_row(*parameter_row(name, estimate, None if truth is None else truth[name]))
     console.print(table)
-    ratio = f"chi2/dof {result.chi2 / result.dof:.4g}, " if result.weights == "sd" else ""
-    click.echo(f"{ratio}status: {result.status.replace('_', ' ')}")
-    if result.posterior is not None:
-        p = result.posterior
-        click.echo(
-            f"posterior: {'converged' if p.converged else 'NOT converged'}, {p.ess:.0f} effective "
-            f"draws, R-hat {p.r_hat:.4f}, autocorrelation {p.tau:.1f} steps; intervals are its "
-            "quantiles"
-        )
-    for warning in result.warnings:
-        click.echo(f"warning: {warning}")
-    if output is not None:
-        click.echo(f"written to {output}", err=True)
 
 
-def _row(name: str, estimate: Estimate, true: float | None) -> list[str]:
+def parameter_row(name: str, estimate: Estimate, true: float | None) -> list[str]:
+    """Cells of one parameter: value, standard uncertainty, interval, and true value and error."""
     unit = f" {estimate.unit}" if estimate.unit else ""
     digits = _decimals(estimate)
     interval = "unknown"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -35,7 +36,8 @@ _OPTIONS = (
         "selections",
         multiple=True,
         metavar="KEY=VALUE",
-        help="Use part of a file: wavelength=650 (nm) or channel=NAME.",
+        help="Use part of a file: wavelength=650 (nm) or channel=NAME; several as "
+        "wavelength=450,650, wavelength=600..700 or wavelength=600.. .",
     ),
     click.option(
         "--max-theta-i",
@@ -62,37 +64,66 @@ def read_samples(
     max_theta_i: float | None,
     max_theta_r: float | None,
     threads: int | None,
+    *,
+    several: bool = False,
+    hint: str = "",
 ) -> tuple[BRDFSamples, dict[str, Any]]:
-    """Samples of one channel within the angles (degrees), and the cuts as a result states them.
+    """Samples within the angles (degrees), and the cuts as a result states them.
+
+    Parameters
+    ----------
+    several : bool
+        Allow several channels or wavelengths.
+    hint : str
+        What else to do about them, for the message that refuses them.
 
     Raises
     ------
     ConfigurationError
-        If a selection is not KEY=VALUE, or several channels or wavelengths are left.
+        If a selection is not KEY=VALUE, or several channels or wavelengths are left and not
+        allowed.
     DataError
         If the source cannot be read, or no sample is left.
     """
-    select = _pairs(selections)
+    select = pairs(selections)
     samples = _read(source, select, threads)
     radians = [
         None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
     ]
     samples = samples.limited(max_theta_i=radians[0], max_theta_r=radians[1])
-    _require_one_channel(source, samples)
+    if not several:
+        _require_one_channel(source, samples, hint)
     cuts = {"select": select, "max_theta_i_deg": max_theta_i, "max_theta_r_deg": max_theta_r}
     return samples, cuts
 
 
-def _pairs(selections: tuple[str, ...]) -> dict[str, str]:
-    pairs = {}
+def pairs(selections: tuple[str, ...]) -> dict[str, str]:
+    """Selections by key; of one key several mean any of them.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is not KEY=VALUE.
+
+    Examples
+    --------
+    >>> pairs(("wavelength=450", "wavelength=600..700"))
+    {'wavelength': '450,600..700'}
+    """
+    found: dict[str, str] = {}
     for item in selections:
-        key, equals, value = item.partition("=")
-        if not (equals and key.strip() and value.strip()):
+        bound = re.fullmatch(r"\s*(\w+)\s*=?\s*([<>])[\s=]*(.*)", item)
+        if bound:
+            key, sign, value = bound[1], bound[2], bound[3].strip() or "600"
+            text = f"{key}=..{value}" if sign == "<" else f"{key}={value}.."
+            raise ConfigurationError(f"--select {item!r}: a range is written {text}", value=item)
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not (equals and key and value):
             raise ConfigurationError(
                 f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
             )
-        pairs[key.strip()] = value.strip()
-    return pairs
+        found[key] = f"{found[key]},{value}" if key in found else value
+    return found
 
 
 def _read(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
@@ -112,7 +143,7 @@ def _read(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamp
     return formats.choose(samples, select) if select else samples
 
 
-def _require_one_channel(source: Path, samples: BRDFSamples) -> None:
+def _require_one_channel(source: Path, samples: BRDFSamples, hint: str) -> None:
     """One BRDF at a time: refuse samples of several wavelengths or channels."""
     for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
         if column is None:
@@ -122,6 +153,6 @@ def _require_one_channel(source: Path, samples: BRDFSamples) -> None:
             shown = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values[:40])
             raise ConfigurationError(
                 f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
-                f"of {shown}.",
+                f"of {shown}.{hint}",
                 value=values,
             )

@@ -1,23 +1,72 @@
-"""`gonio plot`: BRDF samples or a fit as a picture."""
+"""`gonio plot`: a model, BRDF samples or a fit as a picture."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from gonio.errors import ConfigurationError, DataError
+from gonio.errors import ConfigurationError, DataError, unknown_name
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from gonio.fitting.result import FitResult
+    from gonio.models import Model
     from gonio.samples import BRDFSamples
     from gonio.session import Session
 
+# What each kind of picture is made of.
+KINDS = {
+    "summary": "samples",
+    "slices": "samples",
+    "hemisphere": "samples or model",
+    "residuals": "fit",
+    "frames": "session",
+    "lobe": "model",
+    "solid": "model",
+    "albedo": "model",
+}
+SIGNS = ("model:", "material:")
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What there is to draw; what is not there is None."""
+
+    fit: FitResult | None = None
+    samples: BRDFSamples | None = None
+    session: Session | None = None
+    draws: Any = None
+    model: Model | None = None
+    parameters: Mapping[str, float] | None = None
+
+    def has(self, what: str) -> bool:
+        """Whether there is one of the things that are named, as in "samples or model"."""
+        return any(getattr(self, word) is not None for word in what.split(" or "))
+
 
 @click.command(name="plot")
-@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("source", metavar="INPUT")
+@click.option(
+    "--kind",
+    metavar="|".join(KINDS),
+    help="One picture in place of the page: the plane of incidence, the hemisphere of viewing "
+    "directions, what a fit leaves over, raw frames, a model's polar lobe, its lobe in space or "
+    "its albedo.",
+)
+@click.option(
+    "-p",
+    "--parameter",
+    "items",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A parameter of model:NAME or material:NAME, angles in degrees; repeat for each.",
+)
 @click.option(
     "-o",
     "--output",
@@ -25,106 +74,148 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Picture to write, .png, .pdf or .svg; INPUT with .png where not given.",
 )
-def command(source: Path, output: Path | None) -> None:
-    """Draw BRDF samples or a fit on one page.
+@click.option(
+    "--select",
+    "selections",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Part of a file or of a joint fit: wavelength=650, channel=NAME or part=NAME.",
+)
+def command(
+    source: str,
+    kind: str | None,
+    items: tuple[str, ...],
+    output: Path | None,
+    selections: tuple[str, ...],
+) -> None:
+    """Draw a model, BRDF samples or a fit.
 
     INPUT is a FIT.json that 'gonio fit' wrote, a samples file, any BRDF file that gonio reads,
-    or a session. With a fit come the samples it was made to, its posterior and, where the session
-    is still there, raw frames: the files are looked for by the names they had, from the current
+    a session, or model:NAME or material:NAME. Without --kind it is drawn on one page, a model as
+    its lobe. With a fit come the samples it was made to, its posterior and, where the session is
+    still there, raw frames: the files are looked for by the names they had, from the current
     folder and from the folder of INPUT.
     """
-    output = source.with_suffix(".png") if output is None else output
-    _check(source, output)
-    from gonio.plot import save, summary
+    named = source.startswith(SIGNS)
+    if output is None:
+        name = source.partition(":")[2] if named else source
+        output = Path(f"{name}.png") if named else Path(source).with_suffix(".png")
+    _check(None if named else Path(source), output, kind, items)
+    content = _named(source, items) if named else _read(Path(source), selections)
+    kind = kind or ("lobe" if named else "summary")
+    if not content.has(KINDS[kind]):
+        raise ConfigurationError(
+            f"--kind {kind} is drawn of {KINDS[kind]}, and {source} has none; it can be drawn "
+            f"as {', '.join(k for k, what in KINDS.items() if content.has(what))}.",
+            value=kind,
+        )
+    from gonio.plot import save
 
-    if source.suffix == ".json":
-        from gonio.fitting.result import FitResult
-
-        fit = FitResult.load(source)
-        samples, session = _fitted(source, fit)
-        draws = _draws(source, fit)
-        figure = summary(fit, samples, session, draws)
-    else:
-        samples, session = _measured(source, source, {})
-        samples = _one_channel(source, samples)
-        figure = summary(None, samples, session)
-    save(figure, output)
+    save(_drawn(kind, content), output)
     click.echo(f"written to {output}", err=True)
 
 
-def _check(source: Path, output: Path) -> None:
+def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str, ...]) -> None:
     """Refuse what cannot be drawn or written before matplotlib is loaded."""
+    from gonio.cli.options import check_target
     from gonio.plot.style import format_of
 
-    if not source.exists():
-        raise DataError(f"{source}: no such file; give a fit or BRDF samples.", value=source)
+    if kind is not None and kind not in KINDS:
+        raise unknown_name("kind of picture", kind, KINDS)
+    if source is not None:
+        if not source.exists():
+            raise DataError(
+                f"{source}: no such file; give a fit, BRDF samples, a session or model:NAME.",
+                value=source,
+            )
+        if items:
+            raise ConfigurationError(
+                f"-p goes with model:NAME or material:NAME, and {source} has its own values.",
+                value=items,
+            )
     format_of(output)
-    if output.is_dir():
-        raise ConfigurationError(f"{output}: is a folder; give the name of a file.", value=output)
-    if not output.parent.is_dir():
-        raise DataError(
-            f"{output}: the folder {output.parent} does not exist; make it first.", value=output
-        )
+    check_target(output)
 
 
-def _fitted(source: Path, fit: FitResult) -> tuple[BRDFSamples, Session | None]:
-    """The samples that the fit was made to, cut as it was, and their session."""
-    name = fit.source.get("input")
-    if not name:
+def _named(source: str, items: tuple[str, ...]) -> _Content:
+    """A model or a material by its name, with the parameters that were given."""
+    from gonio import materials, models
+    from gonio.cli.options import parse_parameters
+
+    sign, _, name = source.partition(":")
+    known: dict[str, float] = {}
+    if sign == "material":
+        material = materials.get(name)
+        name, known = material.model, dict(material.parameters)
+    model = models.get(name)
+    return _Content(model=model, parameters=known | parse_parameters(model, items))
+
+
+def _read(source: Path, selections: tuple[str, ...]) -> _Content:
+    from gonio.cli.measured import pairs
+
+    if source.suffix == ".json":
+        return _fitted(source, selections)
+    samples, session = _measured(source, pairs(selections))
+    return _Content(samples=_one_channel(source, samples), session=session)
+
+
+def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
+    """A fit with what belongs to it; the samples must be there, the rest may be missing."""
+    from gonio import models
+    from gonio.cli.joint import part_chooser
+    from gonio.report.inputs import gather
+
+    found = gather(source, _reduced, part_chooser(source, selections, middle=True))
+    if found.samples is None:
+        why = next(line for line in found.absent if line.startswith("The samples: "))
         raise DataError(
-            f"{source}: does not say which samples it was fitted to (source.input); "
-            "make the fit again with 'gonio fit'.",
+            f"{source}: {why.removeprefix('The samples: ')} Change to the folder in which "
+            "'gonio fit' was run, or make the fit again.",
             value=source,
         )
-    path = _find(str(name), source)
-    if path is None:
-        raise DataError(
-            f"{source}: was fitted to {name}, which is neither in the current folder nor in that "
-            "of the fit; put it there or change to the folder in which 'gonio fit' was run.",
-            value=name,
-        )
-    samples, session = _measured(path, source, fit.cuts.get("select") or {})
-    limits = (fit.cuts.get(key) for key in ("max_theta_i_deg", "max_theta_r_deg"))
-    theta_i, theta_r = (None if limit is None else _radians(limit) for limit in limits)
-    samples = samples.limited(max_theta_i=theta_i, max_theta_r=theta_r)
-    if len(samples) != fit.n_samples:
-        raise DataError(
-            f"{path}: holds {len(samples)} samples and {source} was fitted to {fit.n_samples}; "
-            "the file has changed since, make the fit again.",
-            value=path,
-        )
-    return samples, session
+    for line in found.absent:
+        click.echo(f"Left out of the picture: {line}", err=True)
+    fit = found.fit
+    model = models.get(fit.model)
+    values = {name: model.parameter(name).from_file(v) for name, v in fit.values().items()}
+    session = found.session or _session(source, found.samples)
+    return _Content(fit, found.samples, session, found.draws, model, values)
 
 
-def _measured(
-    path: Path, source: Path, select: Mapping[str, str]
-) -> tuple[BRDFSamples, Session | None]:
+def _measured(path: Path, select: Mapping[str, str]) -> tuple[BRDFSamples, Session | None]:
     """Samples from a file or a session, and the session where it is there."""
     from gonio import formats
-
-    if not path.is_dir():
-        samples = formats.read(path, select=select)
-        return samples, _session(path, source, samples)
-    from gonio.calibration.reduction import reduce
-    from gonio.cli.progress import progress
     from gonio.session import Session
 
-    session = Session.open(path)
-    session.require_complete()
-    with progress(f"reducing {path.name or path}", "images") as callback:
-        return formats.choose(reduce(session, progress=callback), select), session
+    if path.is_dir():
+        session = Session.open(path)
+        session.require_complete()
+        return formats.choose(_reduced(session), select), session
+    samples = formats.read(path, select=select)
+    return samples, _session(path, samples)
 
 
-def _session(path: Path, source: Path, samples: BRDFSamples) -> Session | None:
+def _reduced(session: Session) -> BRDFSamples:
+    from gonio.calibration.reduction import reduce
+    from gonio.cli.progress import progress
+
+    with progress(f"reducing {session.path.name or session.path}", "images") as callback:
+        return reduce(session, progress=callback)
+
+
+def _session(path: Path, samples: BRDFSamples) -> Session | None:
     """The session that the samples came from; without it the frames are left out."""
     from gonio.session import Session
 
     name = samples.metadata.get("session")
     if not name:
         return None
-    found = _find(str(name), path, source)
+    found = _find(str(name), path)
     if found is None:
-        _left_out(f"the session {name} is not there: its frames are")
+        click.echo(
+            f"the session {name} is not there: its frames are left out of the picture.", err=True
+        )
         return None
     return Session.open(found)
 
@@ -142,29 +233,37 @@ def _one_channel(source: Path, samples: BRDFSamples) -> BRDFSamples:
     return samples
 
 
-def _draws(source: Path, fit: FitResult) -> Path | None:
-    """The posterior's draws; without them the posterior is left out."""
-    if fit.posterior is None or fit.posterior.draws is None:
-        return None
-    found = _find(fit.posterior.draws, source)
-    if found is None:
-        _left_out(f"the draws {fit.posterior.draws} are not there: the posterior is")
-    return found
-
-
-def _find(name: str, *beside: Path) -> Path | None:
-    """A file by the name it had: from the current folder, or beside one of these files."""
-    candidates = [Path(name)]
-    for file in beside:
-        candidates += [file.parent / name, file.parent / Path(name).name]
+def _find(name: str, beside: Path) -> Path | None:
+    """A file by the name it had: from the current folder, or beside another file."""
+    candidates = (Path(name), beside.parent / name, beside.parent / Path(name).name)
     return next((path for path in candidates if path.exists()), None)
 
 
-def _left_out(text: str) -> None:
-    click.echo(f"{text} left out of the picture.", err=True)
+def _drawn(kind: str, content: _Content) -> Figure:
+    """The figure of one kind; `content` has what the kind is made of."""
+    from gonio import plot
+
+    fit, samples, session = content.fit, content.samples, content.session
+    model, values = content.model, content.parameters
+    figures: dict[str, Callable[[], Figure]] = {}
+    if samples is not None:
+        figures["summary"] = lambda: plot.summary(fit, samples, session, content.draws)
+        figures["slices"] = lambda: _figure(plot.slices(samples, fit))
+        figures["hemisphere"] = lambda: _figure(*plot.hemisphere_samples(samples))
+        if fit is not None:
+            figures["residuals"] = lambda: _figure(*plot.residual_map(samples, fit))
+    if session is not None:
+        figures["frames"] = lambda: _figure(*plot.frames(session))
+    if model is not None:
+        figures["lobe"] = lambda: _figure(*plot.model_lobes(model, values))
+        figures["solid"] = lambda: _figure(plot.lobe_solid(model, values))
+        figures["albedo"] = lambda: _figure(plot.albedo_curve(model, values))
+        figures.setdefault("hemisphere", lambda: _figure(*plot.hemisphere_map(model, values)))
+    return figures[kind]()
 
 
-def _radians(limit: Any) -> float:
-    from math import radians
-
-    return radians(float(limit))
+def _figure(*axes: Axes) -> Figure:
+    """The figure on which these axes stand."""
+    figure = axes[0].get_figure(root=True)
+    assert figure is not None
+    return figure

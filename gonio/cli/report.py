@@ -23,13 +23,21 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Page to write; FIT.json with .html where not given.",
 )
-def command(source: Path, output: Path | None) -> None:
+@click.option(
+    "--select",
+    "selections",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Part of a joint fit: wavelength=650, channel=NAME or part=NAME.",
+)
+def command(source: Path, output: Path | None, selections: tuple[str, ...]) -> None:
     """Write a fit as one HTML page that opens without a network.
 
     FIT.json is what 'gonio fit -o' wrote. Samples, session and draws are looked for by the names
     they had, from the current folder and from that of FIT.json; what is gone is left out, and the
     page says so.
     """
+    from gonio.cli.joint import part_chooser
     from gonio.cli.options import check_target
 
     output = source.with_suffix(".html") if output is None else output
@@ -41,7 +49,7 @@ def command(source: Path, output: Path | None) -> None:
     from gonio.files import write_text
     from gonio.report import gather, page
 
-    inputs = gather(source, _reduce)
+    inputs = gather(source, _reduce, part_chooser(source, selections))
     write_text(output, page(inputs))
     for line in inputs.absent:
         click.echo(f"left out: {line}", err=True)

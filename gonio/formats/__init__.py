@@ -15,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.files import sha256_of
@@ -59,7 +60,8 @@ def read(path: str | Path, *, select: Mapping[str, str] | None = None) -> BRDFSa
         The file.
     select : mapping, optional
         ``{"wavelength": "650"}`` keeps the samples at that wavelength in nm,
-        ``{"channel": "red"}`` those of that channel.
+        ``{"channel": "red"}`` those of that channel. Several: ``"450,650"``, ``"600..700"``,
+        ``"600.."``, ``"..480"``, ``"red,blue"``.
 
     Returns
     -------
@@ -110,7 +112,7 @@ def read(path: str | Path, *, select: Mapping[str, str] | None = None) -> BRDFSa
 def choose(
     samples: BRDFSamples, select: Mapping[str, str], *, where: str = "samples"
 ) -> BRDFSamples:
-    """The samples of one wavelength or channel, as `read` selects them.
+    """The samples of some wavelengths or channels, as `read` selects them.
 
     Parameters
     ----------
@@ -160,31 +162,54 @@ def _format_of(path: Path) -> ModuleType:
 
 
 def _at_wavelength(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
-    try:
-        wavelength = float(wanted)
-    except ValueError:
-        wavelength = float("nan")
-    if not wavelength > 0:
-        raise ConfigurationError(
-            f"wavelength {wanted!r} is not a positive number; give it in nm, such as 650.",
-            value=wanted,
-        )
+    ranges = [_range(text.strip(), wanted) for text in wanted.split(",")]
     if samples.wavelength_nm is None:
         raise ConfigurationError(
             f"{where}: no wavelengths are stated, so none can be selected; "
             "leave the selection out.",
             value=wanted,
         )
-    listed = np.unique(samples.wavelength_nm)
-    keep = np.abs(samples.wavelength_nm - wavelength) <= _SAME_NM
-    if not keep.any():
-        nearest = listed[np.argmin(np.abs(listed - wavelength))]
+    keep = np.zeros(len(samples), dtype=bool)
+    for low, high in ranges:
+        within = samples.wavelength_nm >= low - _SAME_NM
+        within &= samples.wavelength_nm <= high + _SAME_NM
+        if not within.any():
+            raise _no_wavelength(np.unique(samples.wavelength_nm), low, high, where)
+        keep |= within
+    shown = wanted if len(ranges) > 1 or ".." in wanted else f"{ranges[0][0]:.9g}"
+    return samples.select(keep, f"wavelength {shown} nm")
+
+
+def _range(text: str, wanted: str) -> tuple[float, float]:
+    """Ends in nm of ``650``, ``600..700``, ``600..`` or ``..480``."""
+    first, dots, last = text.partition("..")
+    try:
+        low = float(first) if first or not dots else 0.0
+        high = (float(last) if last else np.inf) if dots else low
+    except ValueError:
+        low = high = np.nan
+    if not (0 <= low <= high and high > 0) or text == "..":
         raise ConfigurationError(
-            f"{where}: no sample at {wavelength:.9g} nm; the nearest is {nearest:.9g} nm. "
-            f"Listed: {_shortened([f'{value:.9g}' for value in listed])}.",
-            value=wavelength,
+            f"wavelength {wanted!r} is not a positive number; give it in nm, such as 650, or "
+            "several as 450,650 or 600..700, where one end may be left out.",
+            value=wanted,
         )
-    return samples.select(keep, f"wavelength {wavelength:.9g} nm")
+    return low, high
+
+
+def _no_wavelength(
+    listed: NDArray[np.float64], low: float, high: float, where: str
+) -> ConfigurationError:
+    known = f"Listed: {_shortened([f'{value:.9g}' for value in listed])}."
+    if low != high:
+        end = "up" if np.isinf(high) else f"to {high:.9g}"
+        return ConfigurationError(
+            f"{where}: no sample from {low:.9g} nm {end}. {known}", value=(low, high)
+        )
+    nearest = listed[np.argmin(np.abs(listed - low))]
+    return ConfigurationError(
+        f"{where}: no sample at {low:.9g} nm; the nearest is {nearest:.9g} nm. {known}", value=low
+    )
 
 
 def _in_channel(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
@@ -193,10 +218,13 @@ def _in_channel(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
             f"{where}: no channels are named, so none can be selected; leave the selection out.",
             value=wanted,
         )
-    keep = samples.channel == wanted
-    if not keep.any():
-        raise unknown_name(f"channel in {where}", wanted, np.unique(samples.channel).tolist())
-    return samples.select(keep, f"channel {wanted}")
+    known = np.unique(samples.channel).tolist()
+    # A comma may stand in a name: the whole text is a name first.
+    names = [wanted] if wanted in known else [name.strip() for name in wanted.split(",")]
+    for name in names:
+        if name not in known:
+            raise unknown_name(f"channel in {where}", name, known)
+    return samples.select(np.isin(samples.channel, names), f"channel {wanted}")
 
 
 def _shortened(items: list[str], most: int = 40) -> str:

@@ -20,6 +20,18 @@ class Holder(Part):
         default=0.0, ge=0, le=20, description="tilt of the sample's normal, in the laboratory"
     )
     tilt_azimuth_deg: float = Field(default=0.0, description="azimuth that it is tilted towards")
+    azimuth_deg: float = Field(
+        default=0.0,
+        ge=-180,
+        le=180,
+        description="turn of the sample, counter-clockwise, that the plan's rotations do not count",
+    )
+    u_azimuth_deg: float = Field(
+        default=0.0,
+        ge=0,
+        le=45,
+        description="standard uncertainty of the sample's azimuth; each session draws its error",
+    )
 
     def on_surface(self, vectors: FloatArray) -> FloatArray:
         """Laboratory vectors (..., 3) in the frame of the sample before it is turned by hand."""

@@ -48,12 +48,15 @@ class Fixed:
         The standard's true reflectance over its certified one.
     multibounce_scale : float
         The true g of `imaging.multibounce_gain` over the stated one.
+    azimuth : float
+        Turn of the sample that the plan's rotations do not count, radians.
     """
 
     dome_seed: int
     pattern_seed: int
     standard_scale: float = 1.0
     multibounce_scale: float = 1.0
+    azimuth: float = 0.0
 
 
 class Images:
@@ -101,7 +104,7 @@ class Images:
             Output of the lamp over its nominal value in every channel.
         """
         theta_i = np.radians(self.plan.incidences(role)[incidence])
-        psi = np.radians(self.plan.rotations_deg[take]) if role == "sample" else 0.0
+        psi = self.rotation(take) if role == "sample" else 0.0
         below = self._below(role, incidence)
         stray = imaging.stray_rate(self.instrument, self.rays, theta_i, below=below)
         if role == "background":
@@ -118,6 +121,11 @@ class Images:
             self._image(((signal + stray) * output + ambient) * through.relative_rate)
             for signal, output, ambient, through in zip(lit, lamp, room, filters, strict=True)
         ]
+
+    def rotation(self, take: int) -> float:
+        """True rotation of the sample about its normal in a take, radians; a mirror has none."""
+        off = 0.0 if self.surface.model is None else self.fixed.azimuth
+        return float(np.radians(self.plan.rotations_deg[take])) + off
 
     def _below(self, role: Role, incidence: int) -> bool:
         """Whether the lamp stands below the sample: not for the standard and its background."""

@@ -14,7 +14,6 @@ perfect white surface lit at normal incidence.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,14 +22,16 @@ from scipy.ndimage import convolve1d
 from scipy.special import ive
 from scipy.stats import qmc
 
-from gonio.geometry import FloatArray, hemisphere_quadrature, rotated, unit_vectors
+from gonio.geometry import FloatArray, angles, rotated, unit_vectors
 from gonio.kernels.threads import map_blocks
 from gonio.models import Model
+from gonio.models.albedo import directional_albedo
 
 if TYPE_CHECKING:
     from gonio.instrument import Instrument
 
 
+_MOST_EVALUATIONS = 100_000  # of f for one albedo
 _BLOCK = 4096  # pixels whose rays are worked on at a time: some MB
 
 
@@ -307,15 +308,12 @@ def mean_brdf(
 
 def albedo(model: Model, p: FloatArray, w_i: FloatArray) -> float:
     """Directional-hemispherical reflectance for light from one direction (3,)."""
-    w_r, projected = _hemisphere()
-    return float(np.sum(model.evaluate(np.broadcast_to(w_i, w_r.shape), w_r, p) * projected))
-
-
-@cache
-def _hemisphere() -> tuple[FloatArray, FloatArray]:
-    """Viewing directions and their projected solid angles."""
-    theta, phi, weight = hemisphere_quadrature(96, 192)
-    return unit_vectors(theta, phi), np.cos(theta) * weight
+    theta_i, phi_i = (float(angle) for angle in angles(w_i))
+    named = dict(zip(model.names, p.tolist(), strict=True))
+    # The signal changes by some percent of it: a narrow lobe must be met, digits are not needed.
+    return directional_albedo(
+        model, named, theta_i, phi_i, rtol=1e-4, max_evaluations=_MOST_EVALUATIONS
+    ).value
 
 
 def stray_rate(

@@ -135,4 +135,5 @@ def _limits(rig: Instrument) -> Limits:
         u_multibounce=None if share is None else share * rig.surroundings.multibounce,
         transmittance=rig.dome.transmittance,
         ambient=rig.surroundings.ambient_reflected,
+        u_azimuth_deg=rig.holder.u_azimuth_deg,
     )

@@ -80,7 +80,7 @@ class TruthImages:
             self._brdf = self._brdf_array(
                 (len(plan.channels), plan.takes("sample"), len(plan.theta_i_deg), rows, columns)
             )
-        psi = np.radians(plan.rotations_deg[take])
+        psi = images.rotation(take)
         w_i = imaging.in_sample_frame(
             rig, unit_vectors(np.radians(plan.theta_i_deg[incidence]), 0.0), psi
         )

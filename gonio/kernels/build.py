@@ -34,6 +34,7 @@ from numba import njit
 from {module} import {name} as source
 from gonio.kernels.build import compiled
 from gonio.kernels.intrinsics import align_stack
+from gonio.kernels.sums import add_products, mirror, sum_of_squares
 
 _float32 = np.float32
 kernel = compiled(source, single={single})
@@ -55,6 +56,12 @@ def store(both, above, gradient, k):
 {stores}
 
 '''
+_AMPLITUDES = '''
+@njit(inline="always")
+def amplitudes():
+    return {}
+
+'''
 _DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")\n'
 _DIRECTIONS = ("xi", "yi", "zi", "xr", "yr", "zr")
 
@@ -67,6 +74,9 @@ class Loops:
     evaluate_gradient: Callable[..., None]
     cell_values: Callable[..., None]
     cell_gradient: Callable[..., None]
+    normal_equations: Callable[..., None]
+    cell_normal_equations: Callable[..., None]
+    sums_of_squares: Callable[..., None]
     batch_chi2: Callable[..., None]
     image: Callable[..., None]
 
@@ -98,6 +108,67 @@ def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     """
     module = _load(kernel, n_parameters, single=False)
     return Loops(**{name: getattr(module, name) for name in Loops.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class MomentLoops:
+    """The loops of `gonio.kernels.moments` around one model and its amplitudes."""
+
+    moments: Callable[..., None]
+    factored_moments: Callable[..., None]
+    cell_moments: Callable[..., None]
+
+
+@cache
+def moment_loops_for(
+    kernel: Callable[..., Any], n_parameters: int, linear: tuple[int, ...]
+) -> MomentLoops:
+    """Loops that sum up chi-squared as a function of the parameters with the numbers `linear`."""
+    stores = [
+        f"    gradient[{k}, k] = both[{j + 1}] if above else 0.0" for k, j in enumerate(linear)
+    ]
+    header = _header(kernel, n_parameters, stores or ["    pass"]) + _AMPLITUDES.format(len(linear))
+    body = Path(__file__).with_name("moments.py").read_text(encoding="utf-8")
+    body = body.split(_MARK, 1)[1].split("def unpack(", 1)[0]
+    text = header + body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+    prefix = kernel.__module__.replace(".", "_") + "_moments"
+    module = generated_module(prefix, text, _ingredients(kernel))
+    return MomentLoops(**{name: getattr(module, name) for name in MomentLoops.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class TexelLoops:
+    """The loops of `gonio.kernels.texels` around one model."""
+
+    fit_texels: Callable[..., None]
+    grid_basis: Callable[..., None]
+
+
+@cache
+def texel_loops_for(kernel: Callable[..., Any], n_parameters: int) -> TexelLoops:
+    """Loops that fit one small data set after another."""
+    stores = [
+        f"    gradient[{j}, k] = both[{j + 1}] if above else 0.0" for j in range(n_parameters)
+    ]
+    text = _header(kernel, n_parameters, stores)
+    text += "from gonio.kernels.build import small_fits\n\nsmall_fits = small_fits()\n"
+    body = Path(__file__).with_name("texels.py").read_text(encoding="utf-8").split(_MARK, 1)[1]
+    text += body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+    prefix = kernel.__module__.replace(".", "_") + "_texels"
+    module = generated_module(prefix, text, _ingredients(kernel))
+    return TexelLoops(**{name: getattr(module, name) for name in TexelLoops.__dataclass_fields__})
+
+
+@cache
+def small_fits() -> ModuleType:
+    """The compiled functions of `gonio.kernels.small_fits`, the same for all models."""
+    import numba
+
+    body = Path(__file__).with_name("small_fits.py").read_text(encoding="utf-8")
+    decorator = _DECORATOR.replace(")\n", ', fastmath={"reassoc", "contract"})\n')
+    text = "import math\n\nfrom numba import njit\n" + body.split(_MARK, 1)[1]
+    text = text.replace("\ndef ", "\n" + decorator + "def ")
+    return generated_module("gonio_small_fits", text, [numba.__version__, sys.version])
 
 
 @cache
@@ -172,36 +243,49 @@ def generated_module(prefix: str, text: str, ingredients: Iterable[str] = ()) ->
 
 
 def _load(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> ModuleType:
+    prefix = kernel.__module__.replace(".", "_") + ("_single" if single else "")
+    text = _render(kernel, n_parameters, single=single)
+    return generated_module(prefix, text, _ingredients(kernel))
+
+
+def _ingredients(kernel: Callable[..., Any]) -> list[str]:
+    """What the code compiled around a kernel depends on."""
     import numba
 
     own = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
     sources = {inspect.getsourcefile(function) for function in _reached(kernel)}
     read = [Path(path).read_text(encoding="utf-8") for path in sorted(filter(None, sources))]
-    prefix = kernel.__module__.replace(".", "_") + ("_single" if single else "")
-    text = _render(kernel, n_parameters, single=single)
-    return generated_module(prefix, text, [numba.__version__, sys.version, *own, *read])
+    return [numba.__version__, sys.version, *own, *read]
 
 
 def _render(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> str:
     """Text of the generated module: header and decorated loops."""
     text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
     body = text.split(_MARK, 1)[1].split("def unpack(", 1)[0]
-    real, zero = ("_float32", "_float32(0.0)") if single else ("np.float64", "0.0")
+    zero = "_float32(0.0)" if single else "0.0"
     if single:
         body = "\n\n\n" + text_in_single(body, tuple(SingleLoops.__dataclass_fields__))
-    header = _HEADER.format(
+    stores = [
+        f"    gradient[{j}, k] = both[{j + 1}] if above else {zero}" for j in range(n_parameters)
+    ]
+    header = _header(kernel, n_parameters, stores, single=single)
+    return header + body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+
+
+def _header(
+    kernel: Callable[..., Any], n_parameters: int, stores: Iterable[str], *, single: bool = False
+) -> str:
+    """What binds the loops to one kernel; `stores` are the lines that keep its derivatives."""
+    real = "_float32" if single else "np.float64"
+    return _HEADER.format(
         module=kernel.__module__,
         name=kernel.__name__,
         single=single,
         directions=", ".join(f"{real}({name})" for name in _DIRECTIONS),
         arguments="".join(f", q[{j}]" for j in range(n_parameters)),
-        stores="\n".join(
-            f"    gradient[{j}, k] = both[{j + 1}] if above else {zero}"
-            for j in range(n_parameters)
-        ),
+        stores="\n".join(stores),
         scalars=", ".join(f"{real}(p[{j}])" for j in range(n_parameters)),
     )
-    return header + body.replace("\ndef ", "\n" + _DECORATOR + "def ")
 
 
 def _plain(function: Callable[..., Any]) -> FunctionType:

@@ -117,6 +117,63 @@ def _add_gradient(s, p, f, df, owner, share, n, out, gradient):
             gradient[k, j] += share[t] * df[j, t]
 
 
+def normal_equations(s, value, inverse_variance, points, rows, first, last, out):
+    """Weighted products of residuals and derivatives, summed over the samples first to last.
+
+    out[b] holds the products of the columns [value - f, df/dp_1, ...] at the parameters points[b];
+    `rows` chooses among the columns, 0 being the residual. s holds the six components (6, N). A
+    block of samples stays in the first cache for all points.
+    """
+    columns = np.empty((points.shape[1] + 1, BLOCK))
+    work = np.empty(BLOCK)
+    out[:] = 0.0
+    for a in range(first, last, BLOCK):
+        e = min(a + BLOCK, last)
+        f, slopes = columns[0, : e - a], columns[1:]
+        xi, yi, zi = s[0, a:e], s[1, a:e], s[2, a:e]
+        xr, yr, zr = s[3, a:e], s[4, a:e], s[5, a:e]
+        for b in range(points.shape[0]):
+            evaluate_gradient(xi, yi, zi, xr, yr, zr, points[b], f, slopes)
+            for t in range(e - a):
+                f[t] = value[a + t] - f[t]
+            add_products(columns, rows, inverse_variance[a:e], work, out[b])
+    mirror(out)
+
+
+def cell_normal_equations(
+    w_i, w_r, weight, offsets, value, inverse_variance, p, rows, first, last, out
+):
+    """`normal_equations` at one point of samples that are cells."""
+    n_p = p.shape[0]
+    f = np.empty(BLOCK)
+    gradient = np.empty((BLOCK, n_p))
+    columns = np.empty((n_p + 1, BLOCK))
+    work = np.empty(BLOCK)
+    out[:] = 0.0
+    for a in range(first, last, BLOCK):
+        n = min(BLOCK, last - a)
+        cell_gradient(w_i, w_r, weight, offsets, a, p, f[:n], gradient[:n])
+        for t in range(n):
+            columns[0, t] = value[a + t] - f[t]
+            for j in range(n_p):
+                columns[j + 1, t] = gradient[t, j]
+        add_products(columns, rows, inverse_variance[a : a + n], work, out[0])
+    mirror(out)
+
+
+def sums_of_squares(s, value, inverse_variance, points, first, last, out):
+    """chi-squared of the samples first to last for each parameter vector of `points`."""
+    f = np.empty(BLOCK)
+    out[:] = 0.0
+    for a in range(first, last, BLOCK):
+        e = min(a + BLOCK, last)
+        xi, yi, zi = s[0, a:e], s[1, a:e], s[2, a:e]
+        xr, yr, zr = s[3, a:e], s[4, a:e], s[5, a:e]
+        for b in range(points.shape[0]):
+            evaluate(xi, yi, zi, xr, yr, zr, points[b], f[: e - a])
+            out[b] += sum_of_squares(value[a:e], f[: e - a], inverse_variance[a:e])
+
+
 def batch_chi2(w_i, w_r, factor, mode, value, inverse_variance, batch, out):
     """Sum of squared weighted residuals for each parameter vector of a batch.
 
@@ -185,3 +242,16 @@ def store(both, above, gradient, k):
 def call(xi, yi, zi, xr, yr, zr, q):
     """Stands for a model's kernel: (f, df/dp_0, ...); replaced when the loops are compiled."""
     return (q[0], 1.0)
+
+
+def add_products(columns, rows, weight, work, out):
+    """Stands for `gonio.kernels.sums.add_products`."""
+
+
+def mirror(out):
+    """Stands for `gonio.kernels.sums.mirror`."""
+
+
+def sum_of_squares(value, f, weight):
+    """Stands for `gonio.kernels.sums.sum_of_squares`."""
+    return 0.0

@@ -47,6 +47,8 @@ class Parameter:
         rest is held: a fit solves for these together.
     start : tuple of float, optional
         Range that a fit searches for its start; the whole range where not given.
+    prior : str
+        Prior of a posterior, as `gonio.fitting.priors` reads it, in the unit of files.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Parameter:
     scale: Literal["linear", "log"] = "linear"
     linear: bool = False
     start: tuple[float, float] | None = None
+    prior: str = "flat"
 
     @property
     def file_unit(self) -> str:

@@ -11,12 +11,10 @@ from matplotlib.patheffects import withStroke
 
 from gonio.geometry import FloatArray, equal_area, unit_vectors
 from gonio.instrument.resolution import WHOLE, Resolution, principal
-from gonio.plot.style import BLACK, BLUE, GREY, VERMILLION, _new_figure, style
+from gonio.plot.disc import at, draw_disc
+from gonio.plot.style import BLACK, BLUE, VERMILLION, _new_figure, style
 
-CIRCLES_DEG = (30.0, 60.0, 90.0)
 _ELLIPSE = 0.09  # longest diameter of an ellipse, of the hemisphere's radius
-_LABELS_AT_DEG = -33.75  # between the ellipses
-_UNSEEN = "#d9d9d9"
 
 
 def resolution_map(found: Resolution) -> Figure:
@@ -60,34 +58,21 @@ def resolution_map(found: Resolution) -> Figure:
 def _panel(
     ax: Axes, found: Resolution, values: FloatArray, norm: Normalize, cmap: str, label: str
 ) -> None:
-    around = np.linspace(0, 2 * np.pi, 181)
-    ax.fill(*_at(90.0, around), color=_UNSEEN, linewidth=0, zorder=0)
+    draw_disc(ax)
     # The first azimuth stands at the end once more; a cell has the value of the point it begins at.
     x, y = (np.concatenate([v, v[:, :1]], axis=1) for v in equal_area(found.w_r))
     image = ax.pcolormesh(
         x, y, values[:-1], norm=norm, cmap=cmap, shading="flat", rasterized=True, zorder=1
     )
-    for circle in CIRCLES_DEG:
-        line = "-" if circle == CIRCLES_DEG[-1] else ":"
-        ax.plot(*_at(circle, around), color=GREY, linewidth=0.7, linestyle=line, zorder=3)
-        ax.annotate(
-            f"{circle:g}°", _at(circle, np.radians(_LABELS_AT_DEG)), fontsize=7, ha="center",
-            va="center", zorder=4, bbox={"facecolor": "white", "pad": 0.6, "linewidth": 0},
-        )  # fmt: skip
     rim = found.instrument.usable_theta_r_deg
-    ax.plot(*_at(rim, around), color=BLACK, linewidth=1.2, zorder=3, label=f"rim mask, {rim:g}°")
-    for phi, text in ((0.0, "0°"), (90.0, "90°"), (180.0, "180°"), (270.0, "270°")):
-        x_text, y_text = 1.08 * np.array(_at(90.0, np.radians(phi)))
-        ax.text(x_text, y_text, text, ha="center", va="center", fontsize=7, color=GREY)
-    ax.set_aspect(1)
-    ax.set_xlim(-1.16, 1.16)
-    ax.set_ylim(-1.16, 1.16)
-    ax.axis("off")
+    ax.plot(
+        *at(rim, np.linspace(0, 2 * np.pi, 181)),
+        color=BLACK,
+        linewidth=1.2,
+        zorder=3,
+        label=f"rim mask, {rim:g}°",
+    )
     ax.figure.colorbar(image, ax=ax, label=label, shrink=0.8, pad=0.02)
-
-
-def _at(theta_deg: float, phi: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-    return equal_area(unit_vectors(np.radians(theta_deg), phi))
 
 
 def _ellipses(ax: Axes, found: Resolution) -> None:
@@ -107,7 +92,7 @@ def _ellipses(ax: Axes, found: Resolution) -> None:
     widths, heights = (sizes * (_ELLIPSE / sizes.max())).T
     ax.add_collection(
         EllipseCollection(
-            widths, heights, turns, units="xy", offsets=[_at(*w) for w, _ in drawn],
+            widths, heights, turns, units="xy", offsets=[at(*w) for w, _ in drawn],
             offset_transform=ax.transData, facecolors="none", edgecolors=BLACK, linewidths=0.8,
             zorder=4, path_effects=[withStroke(linewidth=2.0, foreground="white")],
         )
@@ -136,6 +121,6 @@ def _outline(ax: Axes, found: Resolution) -> None:
 
 def _arm(ax: Axes, found: Resolution) -> None:
     limit = found.instrument.theta_i_max_deg
-    ends = np.transpose([_at(theta, 0.0) for theta in (0.0, limit)])
+    ends = np.transpose([at(theta, 0.0) for theta in (0.0, limit)])
     ax.plot(*ends, color=BLUE, linewidth=1.4, marker="o", markersize=3, zorder=4,
             label=f"lamp's arm, to {limit:g}°")  # fmt: skip

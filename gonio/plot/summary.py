@@ -27,7 +27,7 @@ def summary(
     fit: FitResult | None,
     samples: BRDFSamples | None,
     session: Session | None = None,
-    draws: str | Path | None = None,
+    draws: Any = None,
     *,
     truth: Mapping[str, float] | None = None,
 ) -> Figure:
@@ -40,8 +40,8 @@ def summary(
         What the fit was made to.
     session : Session, optional
         The raw frames.
-    draws : path, optional
-        The posterior's draws, netCDF.
+    draws : path or xarray.Dataset, optional
+        The posterior's draws, netCDF, or as `read_draws` gives them.
     truth : mapping of str to float, optional
         Known values of the parameters, unit of files; `fit.source["truth"]` where not given.
 
@@ -57,7 +57,7 @@ def summary(
     """
     if fit is not None and truth is None:
         truth = fit.source.get("truth")
-    chain = None if draws is None else read_draws(draws)
+    chain = read_draws(draws) if isinstance(draws, str | Path) else draws
     if samples is not None and not in_plane(samples):
         samples = None
     if session is None and samples is None and fit is None:

@@ -10,7 +10,7 @@ from importlib.resources import files
 
 from gonio import __version__
 from gonio.errors import GonioError
-from gonio.report import budget, lobe, posterior, residuals, sections
+from gonio.report import budget, diagnosis, lobe, posterior, residuals, sections
 from gonio.report.chart import Chart
 from gonio.report.inputs import Inputs
 from gonio.report.markup import Markup, section, tag, text
@@ -86,6 +86,7 @@ def _body(inputs: Inputs) -> tuple[Markup, list[Chart]]:
         section("lobe", "Measured and fitted lobe", sections.reference(fit), slices, surface),
         section("residual", "Residuals", maps),
         section("goodness", "Goodness of fit", *sections.goodness(fit, found), histogram),
+        diagnosis.part(inputs, put),
         section("posterior", "Posterior", sections.convergence(fit), *_posterior(inputs, put)),
         section(
             "uncertainty",

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from gonio import formats
-from gonio.errors import DataError, GonioError
+from gonio.errors import ConfigurationError, DataError, GonioError
 from gonio.files import sha256_of
+from gonio.fitting.diagnose import usable
 from gonio.fitting.result import FitResult
 from gonio.plot.summary import read_draws
 from gonio.samples import BRDFSamples
@@ -46,7 +47,11 @@ class Inputs:
     absent: tuple[str, ...] = ()
 
 
-def gather(source: str | Path, reducer: Reducer | None = None) -> Inputs:
+def gather(
+    source: str | Path,
+    reducer: Reducer | None = None,
+    choose: Callable[[FitResult], FitResult] | None = None,
+) -> Inputs:
     """Read a fit and look for its samples, session and draws by the names they had.
 
     They are looked for from the current folder and beside the fit. Only the fit must be there.
@@ -58,14 +63,25 @@ def gather(source: str | Path, reducer: Reducer | None = None) -> Inputs:
     reducer : callable, optional
         Turns the session into samples where the fit was made to a session; `gonio.reduce` where
         not given.
+    choose : callable, optional
+        Takes one part out of a joint fit.
 
     Raises
     ------
     DataError
         If the fit is missing or is not a fit.
+    ConfigurationError
+        If it is a joint fit and no part was chosen.
     """
     source = Path(source)
     fit = FitResult.load(source)
+    fit = fit if choose is None else choose(fit)
+    if fit.parts:
+        raise ConfigurationError(
+            f"{source}: is a joint fit of {', '.join(part.name for part in fit.parts)}; give one "
+            "of them: its method part().",
+            value=source,
+        )
     absent: list[str] = []
     samples = _or_none(absent, "samples", lambda: _samples(source, fit, reducer or _reduce))
     session = _or_none(absent, "session", lambda: _session(source, fit))
@@ -97,7 +113,7 @@ def _samples(source: Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
         samples = formats.read(path, select=select)
     limits = [fit.cuts.get(f"max_{angle}_deg") for angle in ("theta_i", "theta_r")]
     theta_i, theta_r = (None if limit is None else radians(float(limit)) for limit in limits)
-    samples = samples.limited(max_theta_i=theta_i, max_theta_r=theta_r)
+    samples = usable(samples.limited(max_theta_i=theta_i, max_theta_r=theta_r))
     if len(samples) != fit.n_samples:
         raise DataError(
             f"{name} holds {len(samples)} samples and the fit was made to {fit.n_samples}; it has "
@@ -121,6 +137,10 @@ def _draws(source: Path, fit: FitResult) -> Any:
     if fit.posterior is None or fit.posterior.draws is None:
         return None
     draws = read_draws(_find(fit.posterior.draws, source))
+    own = (fit.source.get("joint") or {}).get("parameters") or {}
+    if own and all(name in draws for name in own.values()):
+        # The draws of a joint fit are named as its parameters are.
+        draws = draws[list(own.values())].rename({old: new for new, old in own.items()})
     if not all(name in draws for name in fit.parameters):
         raise DataError(f"{fit.posterior.draws} does not hold the parameters of this fit.")
     return draws

@@ -38,6 +38,8 @@ def heading(inputs: Inputs) -> Markup:
         ("Model", f"{models.get(fit.model).title} ({fit.model})"),
         ("Fit", inputs.name),
     ]
+    joint = fit.source.get("joint")
+    facts += [("Part of a joint fit", joint["part"])] if joint else []
     pairs = [part for k, v in facts for part in (tag("dt", k), tag("dd", v))]
     return tag(
         "header",
@@ -154,6 +156,7 @@ def goodness(fit: FitResult, found: Residuals | None) -> list[Markup]:
         ("of them below zero, kept as noise", fit.n_negative),
         ("degrees of freedom", fit.dof),
         ("weights", _WEIGHTS.get(fit.weights, fit.weights)),
+        ("loss, engine", f"{fit.loss}, {fit.engine}"),
     ]
     if fit.weights == "sd" and fit.dof > 0:
         rows.append(("χ² per degree of freedom", f"{fit.chi2 / fit.dof:.4g}"))
@@ -297,6 +300,7 @@ def _session_rows(session: Session | None) -> Iterable[tuple[str, Any]]:
         ("multi-bounce g", _with(limits.multibounce, "")),
         ("its standard uncertainty", _with(limits.u_multibounce, "")),
         ("room light", _with(limits.ambient, "")),
+        ("uncertainty of the sample's azimuth", _with(limits.u_azimuth_deg, "°")),
     ]  # fmt: skip
 
 
@@ -343,8 +347,14 @@ def commands(inputs: Inputs) -> list[str]:
     lines = []
     if session and Path(str(session)).name != Path(str(source)).name:
         lines.append(["gonio", "reduce", str(session), "-o", str(source)])
-    words = ["gonio", "fit", str(source), "--model", fit.model, "--weights", fit.weights]
-    for key, value in (fit.cuts.get("select") or {}).items():
+    joint = fit.source.get("joint") or {}
+    given = joint.get("input") or source
+    given = given if isinstance(given, list) else [given]
+    words = ["gonio", "fit", *map(str, given), "--model", fit.model, "--weights", fit.weights]
+    words += ["--loss", fit.loss] if fit.loss != "chi2" else []
+    words += ["--engine", fit.engine] if fit.engine != "gauss_newton" else []
+    words += ["--share", ",".join(joint["share"]) or "none"] if joint else []
+    for key, value in (joint.get("select", fit.cuts.get("select")) or {}).items():
         words += ["--select", f"{key}={value}"]
     for angle in ("theta_i", "theta_r"):
         limit = fit.cuts.get(f"max_{angle}_deg")
@@ -353,9 +363,9 @@ def commands(inputs: Inputs) -> list[str]:
     words += ["--seed", str(fit.seed)]
     words += ["--truth", str(session)] if fit.source.get("truth") and session else []
     lines.append([*words, "-o", inputs.name])
-    lines.append(
-        ["gonio", "report", inputs.name, "-o", str(Path(inputs.name).with_suffix(".html"))]
-    )
+    page = [inputs.name, "-o", str(Path(inputs.name).with_suffix(".html"))]
+    page += ["--select", f"part={joint['part']}"] if joint else []
+    lines.append(["gonio", "report", *page])
     return [shlex.join(line) for line in lines]
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gonio import models
-from gonio.checks.albedo import directional_albedo
 from gonio.errors import ConfigurationError
 from gonio.geometry import Directions, FloatArray
 from gonio.metadata import StandardTable
 from gonio.models import Model
+from gonio.models.albedo import directional_albedo
 
 REFLECTANCE_AT = np.radians(8.0)  # incidence at which certificates state it
 TOLERANCE = 5e-4  # of f, by which interpolation in the table may be off

@@ -14,7 +14,7 @@ from gonio.geometry import (
     FloatArray,
     unit_vectors,
 )
-from gonio.models import Model
+from gonio.models.base import Model
 
 
 @dataclass(frozen=True)

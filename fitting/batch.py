@@ -1,0 +1,315 @@
+"""`fit_texels`: one small fit after another, for maps of materials."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gonio.errors import DataError
+from gonio.geometry import Directions, FloatArray, unit_vectors
+from gonio.kernels import map_blocks, texel_loops_for
+from gonio.models import Model, Parameter
+from gonio.models import get as get_model
+
+STATUS = ("converged", "not_converged", "no_data")  # in the order of the compiled loop's numbers
+BLOCK = 256  # texels that are fitted in one call
+GRID = {1: 9, 2: 4}  # points along each nonlinear parameter, by how many of them there are
+COARSE = 3  # for more of them, and where each texel needs a grid of its own
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class TexelFit:
+    """Fitted parameters of every texel; arrays of T texels and P parameters.
+
+    Parameters
+    ----------
+    model : str
+    names : tuple of str
+        Of the parameters, in the order of the columns.
+    parameters : ndarray, shape (T, P)
+        Python units (radians for angles); NaN where the texel has no data.
+    stderr : ndarray, shape (T, P)
+        Standard uncertainty; NaN at a bound, where the data do not determine the parameter, and
+        where the fit did not converge.
+    chi2 : ndarray, shape (T,)
+        Weighted sum of squares of the residuals.
+    n_samples : ndarray of int32, shape (T,)
+        Samples that were used.
+    status : ndarray of int8, shape (T,)
+        Index into `STATUS`: 0 converged, 1 not_converged, 2 no_data: not more usable samples than
+        parameters.
+    at_bound : ndarray of int8, shape (T, P)
+        -1 on the lower bound, 1 on the upper one, else 0.
+    determined : ndarray of bool, shape (T, P)
+        Whether the data say anything about the parameter.
+    """
+
+    model: str
+    names: tuple[str, ...]
+    parameters: FloatArray
+    stderr: FloatArray
+    chi2: FloatArray
+    n_samples: NDArray[np.int32]
+    status: NDArray[np.int8]
+    at_bound: NDArray[np.int8]
+    determined: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def count(self, status: str) -> int:
+        """How many texels have this status."""
+        return int(np.count_nonzero(self.status == STATUS.index(status)))
+
+
+def fit_texels(
+    directions: Directions,
+    values: ArrayLike,
+    model: str | Model,
+    *,
+    u: ArrayLike | None = None,
+    mask: ArrayLike | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> TexelFit:
+    """Fit a model to every texel of a stack of BRDF values.
+
+    Parameters
+    ----------
+    directions : Directions
+        Shape (N,) where all texels are seen from the same directions, else (T, N).
+    values : array_like, shape (T, N)
+        BRDF of each texel in sr^-1. Samples that are not finite, or at or below the horizon, are
+        left out.
+    model : str or Model
+    u : array_like, optional
+        Standard uncertainty of the values, sr^-1: a number or of shape (N,), (T, 1) or (T, N). A
+        sample whose uncertainty is NaN is left out. Where it is not given the scatter about the
+        fit is the measure of the noise.
+    mask : array_like of bool, shape (N,) or (T, N), optional
+        True for samples to leave out.
+    threads : int, optional
+        The result does not depend on it.
+    progress : callable, optional
+        Called with (texels done, texels in all).
+
+    Returns
+    -------
+    TexelFit
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown model.
+    DataError
+        If shapes do not fit, an uncertainty is not positive, or a texel has not more samples than
+        the model has parameters.
+
+    Notes
+    -----
+    The same least squares as `gonio.fit` with these uncertainties, in another way: the parameters
+    in which f is linear are solved for on a coarse grid of the others, and from its best point
+    damped Gauss-Newton steps lead down inside the bounds. There are no profiles of chi-squared,
+    no derivatives are checked, and rival minima are not looked for: what may be afforded once may
+    not be a million times. Take some texels to `gonio.fit` before you trust a map.
+
+    Examples
+    --------
+    >>> theta_r = np.linspace(-1.2, 1.2, 40)
+    >>> seen = Directions(0.4, 0.0, np.abs(theta_r), np.where(theta_r > 0, np.pi, 0.0))
+    >>> ward = get_model("ward_isotropic")
+    >>> chosen = [{"rho_d": 0.2, "rho_s": s, "alpha": 0.15} for s in (0.05, 0.10)]
+    >>> stack = np.stack([ward(seen, **p) for p in chosen])
+    >>> fit_texels(seen, stack, "ward_isotropic").parameters.round(6).tolist()
+    [[0.2, 0.05, 0.15], [0.2, 0.1, 0.15]]
+    """
+    chosen = get_model(model) if isinstance(model, str) else model
+    stack = _Stack.checked(directions, values, u, mask)
+    parameters = chosen.parameters
+    if stack.shape[1] <= len(parameters):
+        raise DataError(
+            f"{stack.shape[1]} samples a texel cannot decide the {len(parameters)} parameters of "
+            f"{chosen.name}; give at least {len(parameters) + 1}."
+        )
+    result = _empty(chosen, stack.shape[0])
+    work = _Work.of(chosen, stack)
+    done, lock = 0, Lock()
+
+    def run(a: int, b: int) -> None:
+        nonlocal done
+        work.fit(stack, a, b, result)
+        if progress is not None:
+            with lock:
+                done += b - a
+                progress(done, stack.shape[0])
+
+    map_blocks(run, stack.shape[0], threads=threads, block=BLOCK)
+    return result
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """Checked data of all texels, read block by block: a stack may be as large as the memory."""
+
+    directions: Directions
+    values: NDArray[np.floating]
+    u: FloatArray | None
+    mask: NDArray[np.bool_] | None
+    shape: tuple[int, int]
+
+    @classmethod
+    def checked(
+        cls, directions: Directions, values: ArrayLike, u: ArrayLike | None, mask: ArrayLike | None
+    ) -> _Stack:
+        given = np.asanyarray(values)
+        if given.ndim != 2 or given.dtype.kind not in "fiu":
+            raise DataError(
+                f"values are an array of {given.dtype} and shape {given.shape}; give real numbers "
+                "of shape (texels, samples)."
+            )
+        t, n = given.shape
+        if directions.shape not in ((n,), (t, n)):
+            raise DataError(
+                f"directions of shape {directions.shape} do not belong to values of shape {(t, n)};"
+                f" give {(n,)} for all texels or {(t, n)} for each."
+            )
+        if mask is not None:
+            mask = np.asarray(mask)
+            if mask.dtype != bool or mask.shape not in ((n,), (t, n)):
+                raise DataError(
+                    f"mask is an array of {mask.dtype} and shape {mask.shape}; give booleans "
+                    f"of shape {(n,)} or {(t, n)}, True for samples to leave out."
+                )
+        if u is not None:
+            u = np.asarray(u, float)
+            if u.shape not in ((), (n,), (t, 1), (t, n)):
+                raise DataError(
+                    f"u has shape {u.shape}; give a number or shape {(n,)}, {(t, 1)} or {(t, n)}."
+                )
+            if np.any(u <= 0):
+                raise DataError(
+                    "u must be positive; give NaN for a sample to leave out.",
+                    value=float(np.min(u)),
+                )
+        return cls(directions, given, u, mask, (t, n))
+
+    @property
+    def common_directions(self) -> bool:
+        """Whether all texels are seen from the same directions."""
+        return len(self.directions.shape) == 1
+
+    def components(self, a: int, b: int) -> FloatArray:
+        """Six components of the directions (1 or texels, 6, N)."""
+        d = self.directions
+        angles = [(getattr(d, f"theta_{end}"), getattr(d, f"phi_{end}")) for end in ("i", "r")]
+        shape = (1, self.shape[1]) if self.common_directions else (b - a, self.shape[1])
+        out = np.empty((shape[0], 6, shape[1]))
+        for k, pair in enumerate(angles):
+            if not self.common_directions:
+                pair = tuple(np.broadcast_to(angle, self.shape)[a:b] for angle in pair)
+            vectors = np.broadcast_to(unit_vectors(*pair), (*shape, 3))
+            out[:, 3 * k : 3 * k + 3] = np.moveaxis(vectors, -1, 1)
+        return out
+
+    def weights(self, a: int, b: int) -> FloatArray:
+        """Inverse variances (1 or texels, N); 0 for samples that are left out."""
+        weight = np.ones((1, self.shape[1]))
+        if self.u is not None:
+            some = self.u[a:b] if self.u.ndim == 2 else self.u
+            weight = np.nan_to_num(1 / some**2) * weight
+        if self.mask is not None:
+            weight = np.where(self.mask[a:b] if self.mask.ndim == 2 else self.mask, 0.0, weight)
+        return np.ascontiguousarray(weight)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """The compiled loop of a model, with all that does not depend on the texel."""
+
+    loop: Callable[..., None]
+    components: FloatArray | None
+    grid: FloatArray
+    basis: FloatArray
+    products: FloatArray
+    linear: NDArray[np.int64]
+    lower: FloatArray
+    upper: FloatArray
+    log: NDArray[np.bool_]
+    known_noise: bool
+
+    @classmethod
+    def of(cls, model: Model, stack: _Stack) -> _Work:
+        parameters, n = model.parameters, stack.shape[1]
+        loops = texel_loops_for(model.kernel, len(parameters))
+        linear = np.array([j for j, q in enumerate(parameters) if q.linear], np.int64)
+        grid = _grid(parameters, coarse=not stack.common_directions)
+        n_b = 1 + len(linear)
+        n_grid = len(grid) if stack.common_directions else 0
+        basis = np.empty((n_grid, n_b, n))
+        products = np.empty((n_grid, n_b * (n_b + 1) // 2, n))
+        components = None
+        if stack.common_directions:
+            components = stack.components(0, 1)
+            work = np.empty(n), np.empty((len(parameters), n))
+            loops.grid_basis(components[0], grid, linear, *work, basis, products)
+        return cls(
+            loops.fit_texels,
+            components,
+            grid,
+            basis,
+            products,
+            linear,
+            np.array([q.lower for q in parameters]),
+            np.array([q.upper for q in parameters]),
+            np.array([q.scale == "log" for q in parameters]),
+            stack.u is not None,
+        )
+
+    def fit(self, stack: _Stack, a: int, b: int, result: TexelFit) -> None:
+        """Fit the texels a to b."""
+        w = stack.components(a, b) if self.components is None else self.components
+        values = np.ascontiguousarray(stack.values[a:b], float)
+        self.loop(
+            w, stack.weights(a, b), values, self.grid, self.basis, self.products, self.linear,
+            self.lower, self.upper, self.log, self.known_noise, result.parameters[a:b],
+            result.stderr[a:b], result.chi2[a:b], result.status[a:b], result.determined[a:b],
+            result.at_bound[a:b], result.n_samples[a:b],
+        )  # fmt: skip
+
+
+def _grid(parameters: tuple[Parameter, ...], *, coarse: bool) -> FloatArray:
+    """Points to start from (M, P): a grid of the nonlinear parameters, amplitudes at 0."""
+    others = [j for j, q in enumerate(parameters) if not q.linear]
+    n = COARSE if coarse else GRID.get(len(others), COARSE)
+    axes = []
+    for j in others:
+        q = parameters[j]
+        low, high = q.start or (q.lower, q.upper)
+        axes.append(np.geomspace(low, high, n) if q.scale == "log" else np.linspace(low, high, n))
+    rest = np.array([min(max(0.0, q.lower), q.upper) for q in parameters])
+    grid = np.tile(rest, (n ** len(others), 1))
+    grid[:, others] = list(itertools.product(*axes))
+    return grid
+
+
+def _empty(model: Model, t: int) -> TexelFit:
+    """A result to be filled in."""
+    p = len(model.parameters)
+    return TexelFit(
+        model=model.name,
+        names=model.names,
+        parameters=np.empty((t, p)),
+        stderr=np.empty((t, p)),
+        chi2=np.empty(t),
+        n_samples=np.empty(t, np.int32),
+        status=np.empty(t, np.int8),
+        at_bound=np.empty((t, p), np.int8),
+        determined=np.empty((t, p), np.bool_),
+    )

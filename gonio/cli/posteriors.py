@@ -1,0 +1,86 @@
+"""What `gonio fit` asks and tells of a posterior: priors in, the sampler's figures out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from gonio.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from gonio.fitting.result import PosteriorSummary
+
+
+def posterior_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --posterior, --sampler and --prior to a command."""
+    options = [
+        click.option("--posterior", is_flag=True, help="Sample the posterior."),
+        click.option(
+            "--sampler",
+            type=click.Choice(["auto", "marginal", "emcee"]),
+            default="auto",
+            show_default=True,
+            help="Of the posterior: the quick marginal sampler, or emcee, which takes over where "
+            "the other's checks fail.",
+        ),
+        click.option(
+            "--prior",
+            "priors",
+            multiple=True,
+            metavar="NAME=PRIOR",
+            help="Prior of a parameter in the posterior: flat, log, normal(mean, sd), "
+            "lognormal(median, factor) or half_normal(sd), in the unit of files.",
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def read_priors(items: tuple[str, ...], *, posterior: bool) -> dict[str, str]:
+    """Texts of priors by parameter, split at the first equals sign.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no posterior, or an item is not NAME=PRIOR or given twice.
+    """
+    if items and not posterior:
+        raise ConfigurationError(
+            "--prior changes the posterior alone, and none was asked for; add --posterior."
+        )
+    found: dict[str, str] = {}
+    for item in items:
+        name, _, text = (part.strip() for part in item.partition("="))
+        if not (name and text):
+            raise ConfigurationError(
+                f"--prior {item!r} is not NAME=PRIOR; write for example "
+                "--prior 'alpha_x=normal(0.1, 0.02)'.",
+                value=item,
+            )
+        if name in found:
+            raise ConfigurationError(f"--prior {name} is given twice; give it once.", value=item)
+        found[name] = text
+    return found
+
+
+def lines(p: PosteriorSummary) -> list[str]:
+    """Whether the posterior converged, how it was sampled, and priors that are not flat."""
+    told = [
+        f"posterior: {'converged' if p.converged else 'NOT converged'}, {p.ess:.0f} effective "
+        f"draws, R-hat {p.r_hat:.4f}, autocorrelation {p.tau:.1f} steps; intervals are its "
+        "quantiles"
+    ]
+    parts = []
+    if p.sampler is not None:
+        parts.append(f"{p.sampler} sampler" + (f" ({p.note})" if p.note else ""))
+    if p.ess_tail is not None:
+        parts.append(f"{p.ess_tail:.0f} effective draws in the tails")
+    if p.k_hat is not None:
+        parts.append(f"k-hat {p.k_hat:.2f}")
+    told += ["  " + ", ".join(parts)] if parts else []
+    believed = [f"{name} {text}" for name, text in p.priors.items() if text != "flat"]
+    others = "; the others flat" if len(believed) < len(p.priors) else ""
+    return told + ([f"  priors: {', '.join(believed)}{others}"] if believed else [])

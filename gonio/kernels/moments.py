@@ -1,0 +1,198 @@
+"""Loops that tell chi-squared for all values of the amplitudes at once.
+
+f is linear in a model's amplitudes a (`Parameter.linear`), so that with d = a - a_ref
+
+    chi2(a) = c - 2 g.d + d.H d,   c = sum W r^2,  g_j = sum W r f_j,  H_jk = sum W f_j f_k
+
+where r = y - f at the amplitudes a_ref and f_j = df/da_j. `gonio.kernels.build` compiles this text
+around a model's kernel as it does `loops.py`; `store` then keeps the derivatives by the amplitudes
+alone, and the compiler leaves the others out.
+
+A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row. Sums run over
+lanes of a block and then over the lanes, so that they are SIMD code.
+"""
+# mypy: allow-untyped-defs, allow-untyped-calls
+
+import numpy as np
+
+# HEADER ENDS
+
+BLOCK = 256
+
+
+def _gradient(xi, yi, zi, xr, yr, zr, q, out, gradient):
+    """f of n pairs, and its derivative by every amplitude (amplitudes, n)."""
+    for k in range(out.shape[0]):
+        above = zi[k] > 0.0 and zr[k] > 0.0
+        a = zi[k] if above else 1.0
+        b = zr[k] if above else 1.0
+        both = call(xi[k], yi[k], a, xr[k], yr[k], b, q)
+        out[k] = both[0] if above else 0.0
+        store(both, above, gradient, k)
+
+
+def _add(r, df, weight, n, lanes):
+    """Add n samples with residuals r to the lanes of each sum."""
+    n_a = df.shape[0]
+    for t in range(n):
+        lanes[0, t] += weight[t] * r[t] * r[t]
+    m = 1
+    for j in range(n_a):
+        for t in range(n):
+            lanes[m, t] += weight[t] * r[t] * df[j, t]
+        m += 1
+    for j in range(n_a):
+        for i in range(j, n_a):
+            for t in range(n):
+                lanes[m, t] += weight[t] * df[j, t] * df[i, t]
+            m += 1
+
+
+def _total(lanes, out):
+    for m in range(out.shape[0]):
+        total = 0.0
+        for t in range(BLOCK):
+            total += lanes[m, t]
+        out[m] = total
+
+
+def moments(components, value, weight, batch, out):
+    """Sums for each parameter vector of a batch, one direction a sample.
+
+    components (6, n): x, y, z of the directions of incidence, then of reflection; weight: inverse
+    variances; batch (B, P): parameter vectors with the amplitudes a_ref; out (B, sums).
+    """
+    n_a = amplitudes()
+    f = np.empty(BLOCK)
+    df = np.empty((n_a, BLOCK))
+    lanes = np.empty((out.shape[1], BLOCK))
+    for b in range(batch.shape[0]):
+        q = unpack(batch[b])
+        lanes[:, :] = 0.0
+        for start in range(0, value.shape[0], BLOCK):
+            stop = min(start + BLOCK, value.shape[0])
+            n = stop - start
+            _gradient(
+                components[0, start:stop], components[1, start:stop], components[2, start:stop],
+                components[3, start:stop], components[4, start:stop], components[5, start:stop],
+                q, f[:n], df,
+            )  # fmt: skip
+            for t in range(n):
+                f[t] = value[start + t] - f[t]
+            _add(f, df, weight[start:stop], n, lanes)
+        _total(lanes, out[b])
+
+
+def factored_moments(components, factor, centre, others, linear, value, weight, batch, out):
+    """`moments` of samples with cells, over which each part of f is integrated by a factor.
+
+    factor (1 + amplitudes, 1 + others, n): factor[0] for what stays of f without the amplitudes,
+    factor[1 + j] for f_j; each is expanded in the parameters with the numbers `others` about their
+    values `centre`. `linear` holds the numbers of the amplitudes.
+    """
+    n_a = amplitudes()
+    f = np.empty(BLOCK)
+    df = np.empty((n_a, BLOCK))
+    scale = np.empty(BLOCK)
+    lanes = np.empty((out.shape[1], BLOCK))
+    for b in range(batch.shape[0]):
+        q = unpack(batch[b])
+        lanes[:, :] = 0.0
+        for start in range(0, value.shape[0], BLOCK):
+            stop = min(start + BLOCK, value.shape[0])
+            n = stop - start
+            _gradient(
+                components[0, start:stop], components[1, start:stop], components[2, start:stop],
+                components[3, start:stop], components[4, start:stop], components[5, start:stop],
+                q, f[:n], df,
+            )  # fmt: skip
+            for j in range(n_a):
+                a = batch[b, linear[j]]
+                for t in range(n):
+                    f[t] -= a * df[j, t]
+            for j in range(n_a + 1):
+                for t in range(n):
+                    scale[t] = factor[j, 0, start + t]
+                for i in range(others.shape[0]):
+                    step = batch[b, others[i]] - centre[i]
+                    for t in range(n):
+                        scale[t] += factor[j, 1 + i, start + t] * step
+                if j == 0:
+                    for t in range(n):
+                        f[t] *= scale[t]
+                else:
+                    a = batch[b, linear[j - 1]]
+                    for t in range(n):
+                        df[j - 1, t] *= scale[t]
+                        f[t] += a * df[j - 1, t]
+            for t in range(n):
+                f[t] = value[start + t] - f[t]
+            _add(f, df, weight[start:stop], n, lanes)
+        _total(lanes, out[b])
+
+
+def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
+    """`moments` with f integrated over every member of the cells, as `cell_gradient` does.
+
+    value and weight begin with the sample `first`.
+    """
+    n_a = amplitudes()
+    s = np.empty((6, BLOCK))
+    f = np.empty(BLOCK)
+    df = np.empty((n_a, BLOCK))
+    r = np.empty(BLOCK)
+    dr = np.empty((n_a, BLOCK))
+    owner = np.empty(BLOCK, np.int64)
+    part = np.empty(BLOCK)
+    lanes = np.empty((out.shape[1], BLOCK))
+    for b in range(batch.shape[0]):
+        q = unpack(batch[b])
+        lanes[:, :] = 0.0
+        for start in range(0, value.shape[0], BLOCK):
+            stop = min(start + BLOCK, value.shape[0])
+            for t in range(stop - start):
+                r[t] = value[start + t]
+            dr[:, :] = 0.0
+            m = 0
+            for t in range(stop - start):
+                sample = first + start + t
+                for k in range(offsets[sample], offsets[sample + 1]):
+                    s[0, m], s[1, m], s[2, m] = w_i[sample, 0], w_i[sample, 1], w_i[sample, 2]
+                    s[3, m], s[4, m], s[5, m] = w_r[k, 0], w_r[k, 1], w_r[k, 2]
+                    owner[m], part[m] = t, share[k]
+                    m += 1
+                    if m == BLOCK:
+                        _gather(s, q, f, df, owner, part, m, r, dr)
+                        m = 0
+            _gather(s, q, f, df, owner, part, m, r, dr)
+            _add(r, dr, weight[start:stop], stop - start, lanes)
+        _total(lanes, out[b])
+
+
+def _gather(s, q, f, df, owner, part, m, r, dr):
+    """Evaluate m members, take f from the residuals of their samples and add its derivatives."""
+    _gradient(s[0], s[1], s[2], s[3], s[4], s[5], q, f[:m], df)
+    for k in range(m):
+        r[owner[k]] -= part[k] * f[k]
+        for j in range(df.shape[0]):
+            dr[j, owner[k]] += part[k] * df[j, k]
+
+
+def unpack(p):
+    """The parameter vector as a tuple of scalars; replaced when the loops are compiled."""
+    return (p[0],)
+
+
+def amplitudes():
+    """Number of amplitudes; replaced when the loops are compiled."""
+    return 1
+
+
+def store(both, above, gradient, k):
+    """Derivatives of pair k by the amplitudes; replaced, one line an amplitude."""
+    gradient[0, k] = both[1] if above else 0.0
+
+
+def call(xi, yi, zi, xr, yr, zr, q):
+    """Stands for a model's kernel: (f, df/dp_0, ...); replaced when the loops are compiled."""
+    return (q[0], 1.0)

@@ -1,0 +1,205 @@
+"""Many small fits in one call: the same answers as `fit` gives one by one, and no false ones."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gonio
+from gonio import models
+from gonio.errors import DataError
+from gonio.fitting.batch import BLOCK, STATUS, fit_texels
+from gonio.geometry import Directions
+from gonio.samples import BRDFSamples
+
+N = 120
+WARD = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.1, "alpha_y": 0.2}
+SURFACES = {
+    "ward": (WARD, {"rho_d": 0.4, "rho_s": 0.05, "alpha_x": 0.25, "alpha_y": 0.08}),
+    "oren_nayar_torrance_sparrow": (
+        {"rho": 0.7, "sigma": 0.4, "ks_over_kb": 0.1},
+        {"rho": 0.3, "sigma": 0.15, "ks_over_kb": 0.3},
+    ),
+    "lambert": ({"rho": 0.2}, {"rho": 0.9}),
+}
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Four incidences, each seen about the mirror direction and further away."""
+    rng = np.random.default_rng(2)
+    theta_i, phi_i = (np.repeat(a, N // 4) for a in ([0.1, 0.5, 0.9, 1.1], rng.uniform(-3, 3, 4)))
+    theta_r = np.clip(np.abs(theta_i + rng.normal(0, 0.3, N)), 0, 1.4)
+    return Directions(theta_i, phi_i, theta_r, phi_i + np.pi + rng.normal(0, 0.4, N))
+
+
+def stack(model, surfaces, seen, noise=0.02, seed=0):
+    """Values (T, N) of some surfaces with noise, and its size for each sample."""
+    f = np.stack([models.get(model)(seen, **p) for p in surfaces])
+    u = noise * f.mean(axis=0)
+    return f + u * np.random.default_rng(seed).standard_normal(f.shape), u
+
+
+@pytest.mark.parametrize("model", SURFACES)
+@pytest.mark.parametrize("known", [True, False])
+def test_every_texel_is_fitted_as_fit_does_it(model, known, seen):
+    values, u = stack(model, SURFACES[model], seen)
+    found = fit_texels(seen, values, model, u=u if known else None)
+    assert [STATUS[s] for s in found.status] == ["converged"] * len(values)
+    for t, value in enumerate(values):
+        one = gonio.fit(BRDFSamples(seen, value, u if known else None), model=model, threads=1)
+        # Both stop where the next step is a thousandth of the uncertainty or less.
+        assert found.chi2[t] == pytest.approx(one.chi2, rel=1e-6)
+        for j, q in enumerate(models.get(model).parameters):
+            estimate = one.parameters[q.name]
+            value, stderr = (q.from_file(v) for v in (estimate.value, estimate.stderr))
+            assert abs(found.parameters[t, j] - value) < 2e-3 * stderr
+            assert found.stderr[t, j] == pytest.approx(stderr, rel=1e-2)
+
+
+def test_errors_are_as_large_as_stated(seen):
+    values, u = stack("ward", [WARD] * 2000, seen, seed=1)
+    found = fit_texels(seen, values, "ward", u=u)
+    z = (found.parameters - list(WARD.values())) / found.stderr
+    # 2000 texels: the standard deviation is known to 1.6 %, the mean to 0.022.
+    assert np.abs(z.std(axis=0) - 1).max() < 0.08
+    assert np.abs(z.mean(axis=0)).max() < 0.1
+
+
+def test_threads_and_neighbours_do_not_matter(seen):
+    values, u = stack("ward", [WARD] * (2 * BLOCK + 7), seen, seed=2)
+    values[5, 3] = np.nan
+    one, two = (fit_texels(seen, values, "ward", u=u, threads=n) for n in (1, 2))
+    some = fit_texels(seen, values[4:9], "ward", u=u)
+    for name in ("parameters", "stderr", "chi2", "status", "at_bound", "determined", "n_samples"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+        np.testing.assert_array_equal(getattr(one, name)[4:9], getattr(some, name))
+
+
+def test_each_texel_may_have_its_own_directions(seen):
+    values, u = stack("ward", SURFACES["ward"], seen)
+    own = Directions(*(np.stack([a, a]) for a in vars(seen).values()))
+    common, each = (fit_texels(d, values, "ward", u=u) for d in (seen, own))
+    np.testing.assert_allclose(common.parameters, each.parameters, rtol=1e-9)
+    # The second texel seen from elsewhere: its values belong to those directions.
+    turn = np.array([[0.0], [np.pi / 2]])
+    turned = Directions(seen.theta_i, seen.phi_i + turn, seen.theta_r, seen.phi_r + turn)
+    found = fit_texels(turned, values, "ward", u=u)
+    assert found.parameters[1, 2:] == pytest.approx(common.parameters[1, :1:-1], rel=1e-6)
+
+
+def test_what_is_masked_or_not_a_number_is_left_out(seen):
+    values, u = stack("ward", [WARD] * 4, seen)
+    values[1:] = values[0]
+    left_out = np.zeros((4, N), bool)
+    left_out[1, ::3] = True
+    values[1, ::3] = 1e9  # masked, whatever it is
+    values[2, ::3] = np.nan
+    each = np.tile(u, (4, 1))
+    each[3, ::3] = np.nan
+    found = fit_texels(seen, values, "ward", u=each, mask=left_out)
+    kept = np.arange(N) % 3 != 0
+    fewer = Directions(*(np.asarray(a)[kept] for a in vars(seen).values()))
+    reference = fit_texels(fewer, values[:1, kept], "ward", u=u[kept])
+    assert found.n_samples.tolist() == [N, 80, 80, 80]
+    for t in (1, 2, 3):
+        assert found.parameters[t] == pytest.approx(reference.parameters[0], rel=1e-9)
+        assert found.chi2[t] == pytest.approx(reference.chi2[0], rel=1e-9)
+
+
+def test_a_texel_without_data_has_no_numbers(seen):
+    values, u = stack("ward", [WARD] * 5, seen)
+    values[1] = np.nan
+    values[2, 4:] = np.nan  # as many samples as parameters
+    values[3] = np.inf
+    found = fit_texels(seen, values, "ward", u=u)
+    assert [STATUS[s] for s in found.status[1:4]] == ["no_data"] * 3
+    assert found.n_samples[1:4].tolist() == [0, 4, 0]
+    assert found.count("converged") == 2
+    for name in ("parameters", "stderr", "chi2"):
+        assert np.isnan(getattr(found, name)[1:4]).all()
+        assert np.isfinite(getattr(found, name)[[0, 4]]).all()
+    assert not found.determined[1:4].any()
+
+
+def test_a_surface_without_a_lobe_has_no_width_of_it(seen):
+    values, u = stack("ward", [WARD | {"rho_s": 0.0}] * 200, seen, seed=3)
+    found = fit_texels(seen, values, "ward", u=u)
+    # A lobe that follows one noisy sample has no minimum.
+    assert found.count("converged") >= 190
+    assert np.isnan(found.stderr[found.status == STATUS.index("not_converged")]).all()
+    none = found.at_bound[:, 1] == -1
+    assert none.sum() > 20  # noise pulls below zero, too
+    assert np.isnan(found.stderr[none, 1:]).all()
+    assert not found.determined[none, 1:].any()
+    # Only where noise alone looks like a lobe to two standard errors may it have a width.
+    assert np.mean(found.determined[:, 2:].any(axis=1)) < 0.2
+    assert np.isfinite(found.stderr[found.status == 0, 0]).all()
+
+
+def test_a_value_on_a_bound_is_told_and_has_no_uncertainty(seen):
+    values, u = stack("lambert", [{"rho": 1.0}] * 2, seen, noise=1e-3)
+    found = fit_texels(seen, values * [[0.5], [1.1]], "lambert", u=u)
+    assert found.at_bound[:, 0].tolist() == [0, 1]
+    assert found.parameters[1, 0] == 1.0
+    assert np.isnan(found.stderr[1, 0])
+    assert found.stderr[0, 0] > 0
+
+
+def test_narrower_bounds_hold(seen):
+    values, u = stack("ward", [WARD], seen)
+    model = models.get("ward")
+    narrow = tuple(
+        replace(q, upper=0.15, start=(0.02, 0.15)) if q.name == "alpha_y" else q
+        for q in model.parameters
+    )
+    found = fit_texels(seen, values, replace(model, parameters=narrow), u=u)
+    assert found.parameters[0, 3] == 0.15
+    assert found.at_bound[0].tolist() == [0, 0, 0, 1]
+    assert found.chi2[0] > fit_texels(seen, values, "ward", u=u).chi2[0]
+
+
+def test_memory_is_that_of_the_result_and_a_few_blocks(seen):
+    values = np.broadcast_to(np.float32(0.1), (20_000, N))  # no memory of its own
+    fit_texels(seen, values[:1], "lambert")
+    tracemalloc.start()
+    found = fit_texels(seen, values, "lambert", threads=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.count("converged") == 20_000
+    assert peak < 20_000 * 64 + 20 * BLOCK * N * 8 < values.size * 8 / 2
+
+
+def test_progress_counts_texels(seen):
+    values, _ = stack("lambert", [{"rho": 0.2}] * (BLOCK + 1), seen)
+    calls = []
+    fit_texels(seen, values, "lambert", progress=lambda done, of: calls.append((done, of)))
+    assert sorted(of for _, of in calls) == [BLOCK + 1] * 2
+    assert calls[-1] == (BLOCK + 1, BLOCK + 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"values": np.ones(N)}, r"values are an array of float64 and shape \(120,\); give real "),
+        ({"values": np.ones((2, N), complex)}, "values are an array of complex128 and shape"),
+        ({"values": np.ones((2, 7))}, r"directions of shape \(120,\) do not belong to values of "),
+        ({"mask": np.ones(N)}, r"mask is an array of float64 and shape \(120,\); give booleans of"),
+        ({"mask": np.ones(3, bool)}, r"give booleans of shape \(120,\) or \(2, 120\), True for"),
+        ({"u": np.ones(3)}, r"u has shape \(3,\); give a number or shape \(120,\), \(2, 1\) or "),
+        ({"u": 0.0}, "u must be positive; give NaN for a sample to leave out."),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(change, message, seen):
+    given = {"values": np.ones((2, N))} | change
+    with pytest.raises(DataError, match=message):
+        fit_texels(seen, given.pop("values"), "lambert", **given)
+
+
+def test_too_few_samples_are_refused():
+    seen = Directions(0.3, 0.0, np.linspace(0, 1, 4), 0.0)
+    with pytest.raises(
+        DataError, match="4 samples a texel cannot decide the 4 parameters of ward; give at least 5"
+    ):
+        fit_texels(seen, np.ones((2, 4)), "ward")

@@ -48,20 +48,21 @@ says how many there are in the tables below.
 - The prior is flat between the bounds of the fitted model. They are the model's own but for alpha,
   0.02 to 0.4 (from frames 0.06 to 0.4), and rho of `oren_nayar_frames`, 0.1 to 1.
 
-`p` is that of chi-squared over 20 bins of the ranks. The other columns say how often, in per cent, the
-intervals of 68.3 and 95 % hold the truth: those of the posterior, then those of least squares
+`p` is that of chi-squared over 20 bins of the ranks. The other columns say how often, in per cent,
+the intervals of 68.3 and 95 % hold the truth: those of the posterior, then those of least squares
 (`posterior=False`), where one is stated. A test fails at p below 0.001, of the ranks or of the
 binomial distribution of that count.
 """
 
 TOLD_WRONGLY = """## When the noise is told wrongly
 
-The same sets of `ward`, but the samples state something that is not so. Errors that are stated twice
-as large, and a common error of scale that is not stated at all, must fail these tests, and do.
+The same kind of sets of `ward`, but the samples state something that is not so. Errors that are
+stated twice as large, and a common error of scale that is not stated at all, must fail these
+tests, and do.
 
 Half the noise passes, or nearly so: where the residuals are larger than stated, the fit multiplies
-the independent uncertainties by sqrt(chi2/dof) (Birge's ratio) and warns. That mends a noise that is
-understated everywhere alike. It does not mend what samples share, as the error of scale shows:
+the independent uncertainties by sqrt(chi2/dof) (Birge's ratio) and warns. That mends a noise that
+is understated everywhere alike. It does not mend what samples share, as the error of scale shows:
 residuals do not tell of it.
 """
 

@@ -207,14 +207,13 @@ class _Stack:
 
     def components(self, a: int, b: int) -> FloatArray:
         """Six components of the directions (1 or texels, 6, N)."""
-        d = self.directions
-        angles = [(getattr(d, f"theta_{end}"), getattr(d, f"phi_{end}")) for end in ("i", "r")]
-        shape = (1, self.shape[1]) if self.common_directions else (b - a, self.shape[1])
-        out = np.empty((shape[0], 6, shape[1]))
-        for k, pair in enumerate(angles):
+        t = 1 if self.common_directions else b - a
+        out = np.empty((t, 6, self.shape[1]))
+        for k, end in enumerate("ir"):
+            theta, phi = (getattr(self.directions, f"{name}_{end}") for name in ("theta", "phi"))
             if not self.common_directions:
-                pair = tuple(np.broadcast_to(angle, self.shape)[a:b] for angle in pair)
-            vectors = np.broadcast_to(unit_vectors(*pair), (*shape, 3))
+                theta, phi = (np.broadcast_to(angle, self.shape)[a:b] for angle in (theta, phi))
+            vectors = np.broadcast_to(unit_vectors(theta, phi), (t, self.shape[1], 3))
             out[:, 3 * k : 3 * k + 3] = np.moveaxis(vectors, -1, 1)
         return out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gonio.fitting.mending import Mending, facts, mend
 from gonio.fitting.optimise import Optimum, minimise, pinned_at
 from gonio.fitting.problem import Problem
+from gonio.fitting.result import plain
 from gonio.fitting.shared import information, thinned
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
@@ -81,7 +82,7 @@ class Identifiability:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a JSON document."""
-        return asdict(self)
+        return dict(plain(self))
 
     @property
     def warnings(self) -> list[str]:

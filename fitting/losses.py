@@ -68,7 +68,7 @@ class Loss:
         return y - f, w
 
     def bread(self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray) -> FloatArray:
-        """Half the second derivative of the loss by f, as it is expected near the truth."""
+        """Half the second derivative of the loss by f, as it is expected at the minimum."""
         return self.linearised(y, f, w, cos_r)[1]
 
     def scale(self, r: FloatArray) -> float:

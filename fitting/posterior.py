@@ -239,7 +239,8 @@ def _by_emcee(
         density, sums = target.evaluate(x)
         return np.column_stack([density, sums])
 
-    sampler = emcee.EnsembleSampler(_walkers(len(mode)), len(mode), with_sums, moves=moves, vectorize=True)
+    n = _walkers(len(mode))
+    sampler = emcee.EnsembleSampler(n, len(mode), with_sums, moves=moves, vectorize=True)
     # emcee keeps a legacy generator; its `random_state` setter ignores a Generator silently, so
     # the state of a seeded RandomState is handed over with the start.
     legacy = np.random.RandomState(np.random.MT19937(int(rng.integers(0, 2**63))))

@@ -75,17 +75,17 @@ class Weighted:
         Where the proposal has missed most of the target this leads it there step by step.
         """
         weight = self.weight
-        if _effective(weight) >= least:
+        if _effective(weight) >= least or not np.isfinite(self.log_weight.max()):
             return weight
-        low, high = 0.0, 1.0
+        low, high = -20.0, 0.0  # log2 of the power
         for _ in range(12):
-            power = (low + high) / 2
-            some = np.where(self.weight > 0, self.weight, 1.0) ** power * (self.weight > 0)
-            some /= max(float(some.sum()), 1e-300)
+            power = 2 ** ((low + high) / 2)
+            some = np.exp(power * (self.log_weight - self.log_weight.max()))
+            some /= some.sum()
             if _effective(some) >= least:
-                low, weight = power, some
+                low, weight = float(np.log2(power)), some
             else:
-                high = power
+                high = float(np.log2(power))
         return weight
 
     def joined(self, other: Weighted) -> Weighted:
@@ -262,7 +262,7 @@ def _crowded(target: Target, x: FloatArray, weight: FloatArray) -> NDArray[np.bo
 
 def cholesky(covariance: FloatArray, width: FloatArray) -> FloatArray:
     """Root of a covariance, no standard deviation wider than the range."""
-    sd = np.sqrt(np.diag(covariance))
+    sd = np.maximum(np.sqrt(np.diag(covariance)), 1e-9 * width)
     correlation = covariance / np.outer(sd, sd) + 1e-9 * np.eye(len(sd))
     return np.asarray(np.minimum(sd, width)[:, None] * np.linalg.cholesky(correlation))
 

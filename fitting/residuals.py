@@ -16,7 +16,7 @@ Inference, sec. 4b.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.optimise import Optimum
 from gonio.fitting.problem import Problem
+from gonio.fitting.result import plain
 from gonio.fitting.shared import shared_columns, thinned, weighted_square
 from gonio.geometry import FloatArray, unit_vectors
 
@@ -152,7 +153,7 @@ class ResidualReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a JSON document."""
-        return {**asdict(self), "structured": self.structured, "line": self.line}
+        return {**plain(self), "structured": self.structured, "line": self.line}
 
     @property
     def line(self) -> str:

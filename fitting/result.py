@@ -292,7 +292,7 @@ class FitResult:
 
     def to_dict(self) -> dict[str, Any]:
         """The result as plain data of schema gonio.fit/1."""
-        return {"schema": SCHEMA, **_plain(self)}
+        return {"schema": SCHEMA, **plain(self)}
 
     def to_json(self) -> str:
         """The result as a JSON document."""
@@ -392,12 +392,12 @@ def _with_tuples(entry: dict[str, Any]) -> dict[str, Any]:
     return entry
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Dataclasses, mappings and tuples as JSON-ready data."""
     if hasattr(value, "__dataclass_fields__"):
-        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value

@@ -29,6 +29,8 @@ EXACT_MEMBERS = 50_000  # with so few cell members every likelihood integrates o
 SAMPLES = 4096  # of one piece of work: their directions fit the second cache
 VECTORS = 64  # parameter vectors of one piece of work
 RIDGE = 1e-4  # a prior sd of 10^4 ranges where the data say nothing of an amplitude
+EXPANSION = 4.0  # standard deviations over which the cell factors are expanded
+LARGEST_FACTOR = 100.0
 CHECKED_DRAWS = 8
 TOLERANCE = 0.05  # largest error of a log-likelihood that the cell factors may make
 
@@ -154,7 +156,7 @@ class Target(ABC):
             h[:, k, k] += precision + (RIDGE / (self.upper[j] - self.lower[j])) ** 2
         covariance, log_det = _inverse(h)
         step = np.sum(covariance * g[:, None, :], axis=2)
-        peak = -0.5 * (fall - np.sum(g * step, axis=1)) - 0.5 * log_det
+        peak = -0.5 * np.maximum(fall - np.sum(g * step, axis=1), 0.0) - 0.5 * log_det
         return self.mode[self.linear] + step, covariance, peak
 
     def _log_integral(self, sums: FloatArray) -> FloatArray:
@@ -215,6 +217,8 @@ class MarginalTarget(Target):
         self.plain = problem.samples.cells is None
         self.exact = self.plain or len(problem.cells.weight) <= EXACT_MEMBERS
         self.factors: list[FloatArray] = []
+        # Beyond a few standard deviations a straight line is no guide: the factors stay.
+        self.reach = EXPANSION * spread[self.sampled]
         if not self.exact:
             factors = self._factors(spread)
             self.factors = [np.ascontiguousarray(factors[:, :, a:b]) for a, b in self.blocks]
@@ -247,9 +251,10 @@ class MarginalTarget(Target):
                 problem.w_i, c.w_r, c.weight, c.offsets, a, value, weight, batch, out
             )
         else:
+            steps = batch[:, self.sampled] - self.mode[self.sampled]
             self.loops.factored_moments(
-                self.components[k], self.factors[k], self.mode[self.sampled],
-                self.sampled, self.linear, value, weight, batch, out,
+                self.components[k], self.factors[k], np.clip(steps, -self.reach, self.reach),
+                self.linear, value, weight, batch, out,
             )  # fmt: skip
 
     def _factors(self, spread: FloatArray) -> FloatArray:
@@ -278,7 +283,9 @@ class MarginalTarget(Target):
             parts.append(np.concatenate([rest[None, :], amplitudes]))
         centre, cell = parts
         ratio = np.ones_like(centre)
-        return np.asarray(np.divide(cell, centre, out=ratio, where=centre != 0))
+        ratio = np.divide(cell, centre, out=ratio, where=centre != 0)
+        # Where the centre of a cell sees nothing of a lobe the ratio is no guide to other lobes.
+        return np.asarray(np.clip(ratio, -LARGEST_FACTOR, LARGEST_FACTOR))
 
 
 def _inverse(h: FloatArray) -> tuple[FloatArray, FloatArray]:

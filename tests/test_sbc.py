@@ -40,17 +40,16 @@ def test_ranks_are_uniform_and_intervals_hold(sbc):
 
 
 def test_noise_told_twice_as_large_is_found_out(sbc):
-    for line in lines(sbc, "double", 60):
-        assert "rank_p" in sbc.failures(line) or "posterior_68_p" in sbc.failures(line), line
+    for line in lines(sbc, "double", 40):
+        assert {"rank_p", "posterior_68_p"} & set(sbc.failures(line)), line
         assert float(line["posterior_68"]) > 82  # as 95 % of normal errors would
 
 
 def test_an_error_of_scale_that_is_not_told_is_found_out(sbc):
-    found = {line["parameter"]: line for line in lines(sbc, "scale", 60)}
-    # It moves all of f alike: both reflectances, and no width.
+    found = {line["parameter"]: line for line in lines(sbc, "scale", 40)}
+    # It moves all of f alike: the reflectance that is known best tells most.
     assert "posterior_95_p" in sbc.failures(found["rho_d"])
-    assert float(found["rho_d"]["posterior_95"]) < 80
-    assert sbc.failures(found["alpha"]) == []
+    assert float(found["rho_d"]["posterior_95"]) < 75
 
 
 def test_a_rank_is_uniform_where_the_truth_is_one_of_the_draws(sbc):

@@ -56,13 +56,14 @@ def store(both, above, gradient, k):
 {stores}
 
 '''
-_AMPLITUDES = '''
+_AMPLITUDES = """
 @njit(inline="always")
 def amplitudes():
     return {}
 
-'''
+"""
 _DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")\n'
+_SUMMING = _DECORATOR.replace("nogil", 'fastmath={"reassoc", "contract"}, nogil')
 _DIRECTIONS = ("xi", "yi", "zi", "xr", "yr", "zr")
 
 
@@ -130,7 +131,9 @@ def moment_loops_for(
     header = _header(kernel, n_parameters, stores or ["    pass"]) + _AMPLITUDES.format(len(linear))
     body = Path(__file__).with_name("moments.py").read_text(encoding="utf-8")
     body = body.split(_MARK, 1)[1].split("def unpack(", 1)[0]
-    text = header + body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+    text = header + body.replace("\ndef ", "\n" + _DECORATOR + "def ").replace(
+        _DECORATOR + "def _add(", _SUMMING + "def _add("
+    )
     prefix = kernel.__module__.replace(".", "_") + "_moments"
     module = generated_module(prefix, text, _ingredients(kernel))
     return MomentLoops(**{name: getattr(module, name) for name in MomentLoops.__dataclass_fields__})

@@ -8,8 +8,8 @@ where r = y - f at the amplitudes a_ref and f_j = df/da_j. `gonio.kernels.build`
 around a model's kernel as it does `loops.py`; `store` then keeps the derivatives by the amplitudes
 alone, and the compiler leaves the others out.
 
-A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row. Sums run over
-lanes of a block and then over the lanes, so that they are SIMD code.
+A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row. `_add` is compiled
+so that its sums may be taken in any order (`reassoc`), which makes them SIMD code.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
 
@@ -31,29 +31,27 @@ def _gradient(xi, yi, zi, xr, yr, zr, q, out, gradient):
         store(both, above, gradient, k)
 
 
-def _add(r, df, weight, n, lanes):
-    """Add n samples with residuals r to the lanes of each sum."""
+def _add(r, df, weight, n, out):
+    """Add n samples with residuals r to the sums; these may be taken in any order."""
     n_a = df.shape[0]
+    total = 0.0
     for t in range(n):
-        lanes[0, t] += weight[t] * r[t] * r[t]
+        total += weight[t] * r[t] * r[t]
+    out[0] += total
     m = 1
     for j in range(n_a):
+        total = 0.0
         for t in range(n):
-            lanes[m, t] += weight[t] * r[t] * df[j, t]
+            total += weight[t] * r[t] * df[j, t]
+        out[m] += total
         m += 1
     for j in range(n_a):
         for i in range(j, n_a):
+            total = 0.0
             for t in range(n):
-                lanes[m, t] += weight[t] * df[j, t] * df[i, t]
+                total += weight[t] * df[j, t] * df[i, t]
+            out[m] += total
             m += 1
-
-
-def _total(lanes, out):
-    for m in range(out.shape[0]):
-        total = 0.0
-        for t in range(BLOCK):
-            total += lanes[m, t]
-        out[m] = total
 
 
 def moments(components, value, weight, batch, out):
@@ -65,10 +63,9 @@ def moments(components, value, weight, batch, out):
     n_a = amplitudes()
     f = np.empty(BLOCK)
     df = np.empty((n_a, BLOCK))
-    lanes = np.empty((out.shape[1], BLOCK))
     for b in range(batch.shape[0]):
         q = unpack(batch[b])
-        lanes[:, :] = 0.0
+        out[b, :] = 0.0
         for start in range(0, value.shape[0], BLOCK):
             stop = min(start + BLOCK, value.shape[0])
             n = stop - start
@@ -79,25 +76,23 @@ def moments(components, value, weight, batch, out):
             )  # fmt: skip
             for t in range(n):
                 f[t] = value[start + t] - f[t]
-            _add(f, df, weight[start:stop], n, lanes)
-        _total(lanes, out[b])
+            _add(f, df, weight[start:stop], n, out[b])
 
 
-def factored_moments(components, factor, centre, others, linear, value, weight, batch, out):
+def factored_moments(components, factor, steps, linear, value, weight, batch, out):
     """`moments` of samples with cells, over which each part of f is integrated by a factor.
 
     factor (1 + amplitudes, 1 + others, n): factor[0] for what stays of f without the amplitudes,
-    factor[1 + j] for f_j; each is expanded in the parameters with the numbers `others` about their
-    values `centre`. `linear` holds the numbers of the amplitudes.
+    factor[1 + j] for f_j; the value of each and its slopes by the other parameters, whose steps
+    (B, others) each vector brings. `linear` holds the numbers of the amplitudes.
     """
     n_a = amplitudes()
     f = np.empty(BLOCK)
     df = np.empty((n_a, BLOCK))
     scale = np.empty(BLOCK)
-    lanes = np.empty((out.shape[1], BLOCK))
     for b in range(batch.shape[0]):
         q = unpack(batch[b])
-        lanes[:, :] = 0.0
+        out[b, :] = 0.0
         for start in range(0, value.shape[0], BLOCK):
             stop = min(start + BLOCK, value.shape[0])
             n = stop - start
@@ -113,8 +108,8 @@ def factored_moments(components, factor, centre, others, linear, value, weight, 
             for j in range(n_a + 1):
                 for t in range(n):
                     scale[t] = factor[j, 0, start + t]
-                for i in range(others.shape[0]):
-                    step = batch[b, others[i]] - centre[i]
+                for i in range(steps.shape[1]):
+                    step = steps[b, i]
                     for t in range(n):
                         scale[t] += factor[j, 1 + i, start + t] * step
                 if j == 0:
@@ -127,8 +122,7 @@ def factored_moments(components, factor, centre, others, linear, value, weight, 
                         f[t] += a * df[j - 1, t]
             for t in range(n):
                 f[t] = value[start + t] - f[t]
-            _add(f, df, weight[start:stop], n, lanes)
-        _total(lanes, out[b])
+            _add(f, df, weight[start:stop], n, out[b])
 
 
 def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
@@ -144,10 +138,9 @@ def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
     dr = np.empty((n_a, BLOCK))
     owner = np.empty(BLOCK, np.int64)
     part = np.empty(BLOCK)
-    lanes = np.empty((out.shape[1], BLOCK))
     for b in range(batch.shape[0]):
         q = unpack(batch[b])
-        lanes[:, :] = 0.0
+        out[b, :] = 0.0
         for start in range(0, value.shape[0], BLOCK):
             stop = min(start + BLOCK, value.shape[0])
             for t in range(stop - start):
@@ -165,8 +158,7 @@ def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
                         _gather(s, q, f, df, owner, part, m, r, dr)
                         m = 0
             _gather(s, q, f, df, owner, part, m, r, dr)
-            _add(r, dr, weight[start:stop], stop - start, lanes)
-        _total(lanes, out[b])
+            _add(r, dr, weight[start:stop], stop - start, out[b])
 
 
 def _gather(s, q, f, df, owner, part, m, r, dr):

@@ -184,6 +184,13 @@ def convergence(fit: FitResult) -> Markup:
         ("autocorrelation time, longest", f"{p.tau:.1f} steps"),
         ("accepted proposals", f"{100 * p.acceptance:.0f} %"),
     ]
+    if p.ess_tail is not None:
+        rows.insert(2, ("effective draws in the tails (at least 400)", f"{p.ess_tail:.0f}"))
+    if p.sampler is not None:
+        rows.append(("sampler", p.sampler + (f": {p.note}" if p.note else "")))
+    if p.k_hat is not None:
+        rows.append(("tail of the importance weights, k-hat (below 0.5)", f"{p.k_hat:.2f}"))
+    rows += [(f"prior of {name}", text) for name, text in p.priors.items() if text != "flat"]
     return table(["", "figure"], rows, "Convergence of the posterior")
 
 

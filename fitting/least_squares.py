@@ -212,9 +212,7 @@ def fit(
             "evaluations": optimum.evaluations,
             "history": list(problem.samples.history),
             **diagnostics,
-            "priors": {
-                q.name: [q.to_file(q.lower), q.to_file(q.upper)] for q in problem.parameters
-            }
+            "priors": {q.name: [q.to_file(q.lower), q.to_file(q.upper)] for q in problem.parameters}
             if posterior
             else None,
         },
@@ -596,9 +594,7 @@ def _along_sum(problem: Problem, optimum: Optimum, j: int, scale: float) -> Esti
     q = problem.parameters[j]
     intervals = []
     for increase in (1.0, CHI2_95):
-        ends = [
-            bound_limit(problem, optimum, j, increase, scale, side=side) for side in (-1, 1)
-        ]
+        ends = [bound_limit(problem, optimum, j, increase, scale, side=side) for side in (-1, 1)]
         low, high = (
             bound if end is None else end
             for end, bound in zip(ends, (q.lower, q.upper), strict=True)
@@ -616,8 +612,7 @@ def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple
     at_bound: Literal["lower", "upper"] = "lower" if value == q.lower else "upper"
     side = 1 if at_bound == "lower" else -1
     limits = [
-        bound_limit(problem, optimum, j, increase, scale, side=side)
-        for increase in (1.0, CHI2_95)
+        bound_limit(problem, optimum, j, increase, scale, side=side) for increase in (1.0, CHI2_95)
     ]
     far = q.upper if side > 0 else q.lower
     intervals = []
@@ -651,7 +646,7 @@ def _with_quantiles(
         estimate = estimates[q.name]
         ends = estimate.interval_95 or (np.nan, np.nan)
         near = [ends[0] <= q.to_file(q.lower), ends[1] >= q.to_file(q.upper)]
-        if estimate.at_bound is not None:
+        if estimate.value in (q.to_file(q.lower), q.to_file(q.upper)):
             near = [estimate.at_bound == "lower", estimate.at_bound == "upper"]
         intervals = []
         for level in LEVELS:

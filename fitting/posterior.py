@@ -34,6 +34,7 @@ BURN_IN = 50
 BLOCK_STEPS = 100
 GROWTH = 1.25  # of the chain between two looks at its convergence
 MAX_STEPS = 20_000
+NEAR_SUM = 6.0  # standard deviations from 1 at which a limited sum no longer matters
 
 Sampler = Literal["auto", "marginal", "emcee"]
 Progress = Callable[[int, int], None]
@@ -153,8 +154,8 @@ def sample(
             return WholeTarget(problem, optimum.p, errors.noise_scale, priors)
         spread = np.sqrt(np.sum(root**2, axis=1))
         built = MarginalTarget(problem, optimum.p, errors.noise_scale, priors, spread)
-        if whole and len(built.sampled) == 0:
-            # emcee needs something to walk in.
+        # emcee needs something to walk in, and a limit on a sum is not integrated over.
+        if (whole and len(built.sampled) == 0) or _sum_is_near(problem, optimum.p, root):
             return MarginalTarget(
                 problem, optimum.p, errors.noise_scale, priors, spread, amplitudes=0
             )
@@ -184,6 +185,13 @@ def sample(
 def _is_plain(problem: Problem) -> bool:
     """Whether this is one model with independent noise whose squared residuals are summed."""
     return type(problem) is Problem and getattr(problem, "loss", "chi2") in {None, "chi2"}
+
+
+def _sum_is_near(problem: Problem, mode: FloatArray, root: FloatArray) -> bool:
+    """Whether the limit on the sum of the reflectances cuts the posterior."""
+    limited = list(problem.sum_at_most_one)
+    sd = float(np.linalg.norm(root[limited].sum(axis=0)))
+    return bool(limited) and float(mode[limited].sum()) + NEAR_SUM * sd > 1
 
 
 def _checked(
@@ -370,4 +378,8 @@ def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.G
         draws += rng.standard_normal((*draws.shape[:2], len(moves))) @ moves
     lower = [q.lower for q in problem.parameters]
     upper = [q.upper for q in problem.parameters]
-    return replace(chain, draws=np.clip(draws, lower, upper))
+    draws = np.clip(draws, lower, upper)
+    limited = list(problem.sum_at_most_one)
+    if limited:
+        draws[..., limited] /= np.maximum(draws[..., limited].sum(axis=-1, keepdims=True), 1.0)
+    return replace(chain, draws=draws)

@@ -67,6 +67,9 @@ class Target(ABC):
         self.lower = np.array([q.lower for q in parameters])
         self.upper = np.array([q.upper for q in parameters])
         self.exact = True  # the likelihood integrates over every cell
+        # Amplitudes whose sum is limited are sampled: the Gaussian is integrated over a box.
+        limited = np.array(problem.sum_at_most_one, np.int64)
+        self.limited = limited if np.isin(limited, self.sampled).all() else limited[:0]
         self.log = np.array([parameters[j].scale == "log" for j in self.sampled], bool)
         self.x_lower = self.coordinates(self.lower)
         self.x_upper = self.coordinates(self.upper)
@@ -99,11 +102,12 @@ class Target(ABC):
         if inside.any():
             p = self.parameters(x[inside])
             found = self.sums(p)
+            possible = p[:, self.limited].sum(axis=1) <= 1
             value = self._log_integral(found)
             value += np.sum(x[inside][:, self.log], axis=1)  # dp = p dx
             for j in self.sampled:
                 value += self.priors[j].log_density(p[:, j])
-            density[inside] = np.where(np.isfinite(value), value, -np.inf)
+            density[inside] = np.where(np.isfinite(value) & possible, value, -np.inf)
             sums[inside] = found
         return density, sums
 

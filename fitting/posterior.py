@@ -368,7 +368,13 @@ def _start(
     places = np.where(places > upper, 2 * upper - places, places)
     # A place mirrored beyond the other bound is drawn anywhere between them.
     anywhere = lower + (upper - lower) * rng.random(places.shape)
-    return np.where((places < lower) | (places > upper), anywhere, places)
+    places = np.where((places < lower) | (places > upper), anywhere, places)
+    limited = np.isin(target.sampled, target.limited)
+    if limited.any():
+        # A walker that starts where nothing is allowed has no density to go on from.
+        total = places[:, limited].sum(axis=1, keepdims=True)
+        places[:, limited] /= np.where(total > 1, total * (1 + 0.01 * rng.random(total.shape)), 1)
+    return places
 
 
 def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.Generator) -> Chain:

@@ -530,7 +530,7 @@ scenes = {
 
 # %% tags=["hide-input"]
 with style():
-    fig, axes = plt.subplots(1, 2, figsize=(8.2, 2.7), layout="constrained")
+    fig, axes = plt.subplots(1, 2, figsize=(8.2, 2.9), layout="constrained")
     for ax, (s, picture) in zip(axes, scenes.items(), strict=True):
         draw(ax, picture, f"({'ab'[s > 0]}) σ = {s}°", white=0.9)
 nb.figure(fig, "fig15", "Vase, block and cube as Lambertian and as rough surfaces.")

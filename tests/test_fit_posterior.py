@@ -51,7 +51,7 @@ class Density(Target):
         parameters = tuple(
             Parameter(f"p{k}", "p", "", 0.0, a, b) for k, (a, b) in enumerate(bounds)
         )
-        problem = SimpleNamespace(parameters=parameters)
+        problem = SimpleNamespace(parameters=parameters, sum_at_most_one=())
         super().__init__(problem, mode, 1.0, [Prior()] * len(parameters))
         self.log_density = log_density
 

@@ -139,7 +139,8 @@ def test_everything_is_there(inputs, read):
     idents = [a["id"] for _, a in read.elements if "id" in a]
     assert len(idents) == len(set(idents))
     assert [i for i in idents if i in SECTIONS] == SECTIONS
-    charts = ["slices", "surface", "residual-maps", "residuals", "corner", "trace", "budget"]
+    charts = ["slices", "surface", "residual-maps", "residuals", "rings", "profiles", "corner",
+              "trace", "budget"]  # fmt: skip
     assert sorted(read.charts) == sorted(charts)
     for ident in charts:
         assert f"{ident}-plot" in idents
@@ -249,7 +250,7 @@ def test_text_from_outside_stays_text(inputs, read):
 def test_a_fit_without_its_data_makes_a_report(bare):
     assert len(bare.absent) == 3
     read = Page(page(bare))
-    assert list(read.charts) == ["budget"]
+    assert list(read.charts) == ["rings", "budget"]
     for name in ("gone.nc", "gone.gonio", "shiny.draws.nc"):
         assert f"{name} is neither in the current folder nor beside the fit." in read.text
     assert "the samples that the fit was made to are not there" in read.text

@@ -24,6 +24,7 @@ VERIFIED = 1e-3  # a minimum is verified where it is this part
 SAME_PLACE = 0.1  # of the uncertainty: two ends that are nearer are one minimum
 ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
 NEAR_BOUND = 1e-6  # of the range: near enough to a bound to be put on it
+TAKES_PART = 1e-3  # of a direction without information: a parameter that it moves
 DEEPER = 1e-9  # relative difference of chi-squared that is not rounding
 SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient
 CHECKED = 12  # samples at which derivatives are compared
@@ -316,6 +317,7 @@ def _marquardt(problem: Problem, p: FloatArray) -> _State:
 def _settled(state: _State, evaluations: int) -> Optimum:
     """The state with what is a hair from a bound put on it, and whether its step is negligible."""
     _snap(state)
+    _leave_chance_bounds(state)
     _, distance, limited = state.step()
     held = tuple(map(int, np.flatnonzero(state.box.c))) if limited else ()
     verified = distance <= max(VERIFIED, 1e2 * state.rounding)
@@ -337,6 +339,35 @@ def _snap(state: _State) -> None:
             state.evaluations += 1
             if new[0] <= state.chi2 * (1 + DEEPER) + (ROUNDING * state.size) ** 2:
                 state.moved(trial, *new)
+
+
+def _leave_chance_bounds(state: _State) -> None:
+    """Amplitudes that only share out a sum are put between their bounds.
+
+    Where f does not change along a line of amplitudes, the search may end where a bound cuts the
+    line. That bound is chance: what remains would look as if the data determined it.
+    """
+    box = state.box
+    flagged = np.array([q.linear for q in state.problem.parameters])
+    linear = np.flatnonzero(flagged & (np.diag(state.h) > 0) & (box.upper > box.lower))
+    at_bound = (state.p <= box.lower) | (state.p >= box.upper)
+    if len(linear) < 2 or not at_bound[linear].any():
+        return
+    scale = np.sqrt(np.diag(state.h)[linear])
+    values, vectors = np.linalg.eigh(state.h[np.ix_(linear, linear)] / np.outer(scale, scale))
+    for vector in vectors.T[values < UNDETERMINED]:
+        line = np.zeros(len(state.p))
+        line[linear] = np.where(np.abs(vector) > TAKES_PART, vector / scale, 0.0)
+        some = line != 0
+        ends = [(b - state.p)[some] / line[some] for b in (box.lower, box.upper)]
+        first, last = np.minimum(*ends).max(), np.maximum(*ends).min()
+        trial = np.clip(state.p + (first + last) / 2 * line, box.lower, box.upper)
+        if not last > first or float(trial @ box.c) > 1:
+            continue
+        new = state.problem.normal_equations(trial)
+        state.evaluations += 1
+        if new[0] <= state.chi2 * (1 + DEEPER) + (ROUNDING * state.size) ** 2:
+            state.moved(trial, *new)
 
 
 def _deeper_nearby(state: _State, optimum: Optimum) -> tuple[FloatArray | None, int]:

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import textwrap
+from dataclasses import fields
 from pathlib import Path
 from types import FunctionType
 
@@ -135,9 +136,8 @@ class TestEvaluate:
 
     def test_one_thread_makes_one_call(self, monkeypatch):
         calls = []
-        monkeypatch.setattr(
-            base.Model, "_loops", lambda *_: Loops(*[lambda *a: calls.append(a)] * 6)
-        )
+        loops = Loops(*[lambda *a: calls.append(a)] * len(fields(Loops)))
+        monkeypatch.setattr(base.Model, "_loops", lambda *_: loops)
         MODEL.evaluate(np.ones((100_000, 3)), np.ones(3), P, threads=1)
         assert len(calls) == 1
 

@@ -33,7 +33,7 @@ HERE = Path(__file__).resolve().parent
 PAGES = ROOT / "docs" / "papers"
 SOURCES = ("gonio", "calibration", "fitting", "data")
 # The longest first, so that the other process does the rest beside it.
-LONG = ("ward_latex", "ward_table")
+LONG = ("ward_latex", "ward_table", "oren_nayar_materials")
 SHOWN = 100  # characters of a line of the final table
 
 

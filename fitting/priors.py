@@ -1,8 +1,8 @@
 """Priors: what is held of a parameter before the data, declared with it or given for one fit.
 
 A prior is written flat, log (flat in the logarithm), normal(mean, sd), lognormal(median, factor) or
-half_normal(sd), in the unit of files, and always ends at the bounds of its parameter. Priors enter the posterior alone; the least-squares minimum and its covariance do not
-know them.
+half_normal(sd), in the unit of files, and always ends at the bounds of its parameter. Priors enter
+the posterior alone; the least-squares minimum and its covariance do not know them.
 """
 
 from __future__ import annotations

@@ -190,7 +190,7 @@ class WholeTarget(Target):
 class MarginalTarget(Target):
     """The posterior of one model with independent noise, by compiled sums.
 
-    Where samples have many cell members each part of f is taken at one direction a sample times a
+    Where samples have many cell members each part of f is taken at one of them a sample times a
     factor that integrates it over the cell; the factor is expanded to first order in the
     parameters about the mode, from differences a standard deviation wide. `worst_error` tells
     what this costs over the posterior; with few members the cells are integrated over every time.
@@ -213,19 +213,37 @@ class MarginalTarget(Target):
         super().__init__(problem, mode, scale, priors, flagged[:amplitudes])
         model = problem.model
         self.loops = moment_loops_for(model.kernel, len(mode), tuple(map(int, self.linear)))
-        _, w_r = problem.samples.directions.vectors()
-        self.w_r = np.ascontiguousarray(w_r)
+        self.plain = problem.samples.cells is None
+        self.exact = self.plain or len(problem.cells.weight) <= EXACT_MEMBERS
+        self.w_r = self._directions()
         components = np.concatenate([problem.w_i.T, self.w_r.T])
         self.blocks = [(a, min(a + SAMPLES, problem.n)) for a in range(0, problem.n, SAMPLES)]
         self.components = [np.ascontiguousarray(components[:, a:b]) for a, b in self.blocks]
-        self.plain = problem.samples.cells is None
-        self.exact = self.plain or len(problem.cells.weight) <= EXACT_MEMBERS
         self.factors: list[FloatArray] = []
         # Beyond a few standard deviations a straight line is no guide: the factors stay.
         self.reach = EXPANSION * spread[self.sampled]
         if not self.exact:
             factors = self._factors(spread)
             self.factors = [np.ascontiguousarray(factors[:, :, a:b]) for a, b in self.blocks]
+
+    def _directions(self) -> FloatArray:
+        """One viewing direction a sample, (N, 3): of a cell the member that is brightest.
+
+        At the foot of a lobe the middle of a cell may see a millionth of what the cell does.
+        """
+        problem = self.problem
+        if self.exact:
+            return np.ascontiguousarray(problem.samples.directions.vectors()[1])
+        cells = problem.cells
+        counts = np.diff(cells.offsets)
+        f = problem.model.evaluate(
+            np.repeat(problem.w_i, counts, axis=0), cells.w_r, self.mode, threads=problem.threads
+        )
+        largest = np.repeat(np.maximum.reduceat(f, cells.offsets[:-1]), counts)
+        owner = np.repeat(np.arange(problem.n), counts)
+        brightest = np.flatnonzero(f == largest)
+        _, first = np.unique(owner[brightest], return_index=True)
+        return np.ascontiguousarray(cells.w_r[brightest[first]])
 
     def sums(self, p: FloatArray) -> FloatArray:
         """c, g and H: samples and vectors in pieces that do not depend on the threads."""

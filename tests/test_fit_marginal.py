@@ -170,7 +170,31 @@ def test_cells_are_integrated_over_by_sums_and_by_factors(monkeypatch):
     np.testing.assert_allclose(
         fast.log_likelihood(moved[None]), exact.log_likelihood(moved[None]), rtol=1e-4
     )
-    assert isinstance(moment_loops_for(models.get("ward").kernel, 4, (0, 1)), object)
+
+
+def test_at_the_foot_of_a_lobe_a_cell_is_not_known_by_its_middle(monkeypatch):
+    # A corner of each cell reaches into a narrow lobe of which the middle sees next to nothing.
+    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
+    n, members = 60, 4
+    theta_r = np.linspace(0.70, 0.90, n)
+    where = Directions(np.full(n, 0.5), 0.0, theta_r, np.pi)
+    corners = theta_r[:, None] + 0.04 * np.array([-3.0, 1.0, 1.0, 1.0])
+    many = Directions(0.5, 0.0, corners.ravel(), np.pi).vectors()[1]
+    cells = Cells(np.ascontiguousarray(many), np.full(n * members, 1 / members),
+                  np.arange(n + 1) * members)  # fmt: skip
+    mode = np.array([0.1, 0.2, 0.03, 0.03])
+    samples = BRDFSamples(where, np.full(n, 0.1), u_independent=np.full(n, 1e-3), cells=cells)
+    problem = Problem.from_samples(samples, models.get("ward"), threads=1)
+    value = problem.values(mode)
+    middle = models.get("ward")(where, **dict(zip(WARD, mode, strict=True)))
+    assert ((value - 0.1 / np.pi) > 1e3 * (middle - 0.1 / np.pi)).sum() > 10
+    samples = replace(samples, value=value * 1.05)
+    problem = Problem.from_samples(samples, models.get("ward"), threads=1)
+    fast = MarginalTarget(problem, mode, 1.0, [Prior()] * 4, 0.002 * mode)
+    moved = mode + 0.002 * mode * np.random.default_rng(1).standard_normal((20, 4))
+    exact = np.array([-0.5 * problem.chi2(p) for p in moved])
+    assert np.ptp(exact) > 5
+    np.testing.assert_allclose(fast.log_likelihood(moved), exact, atol=0.02)
 
 
 # ---------------------------------------------------------------- posteriors

@@ -19,7 +19,6 @@ from gonio.fitting.problem import Problem
 from gonio.fitting.proposal import SHARES, Proposal, pilot
 from gonio.fitting.target import MarginalTarget, WholeTarget
 from gonio.geometry import Directions
-from gonio.kernels import moment_loops_for
 from gonio.samples import BRDFSamples, Cells
 
 WARD = {"rho_d": 0.15, "rho_s": 0.19, "alpha_x": 0.088, "alpha_y": 0.13}

@@ -422,8 +422,9 @@ def manifest(path):
 
 def test_interrupted_simulation_is_continued_by_the_same_command(gonio, rig, tmp_path):
     path, whole = tmp_path / "s", tmp_path / "whole"
-    plan = ("--theta-i", "0,10,20,30,40,50,60,70")
-    n = 8 * 5 * 6
+    # So many frames that the signal comes before the last of them, however busy the machine is.
+    plan = ("--theta-i", ",".join(map(str, range(0, 72, 4))))
+    n = 18 * 5 * 6
     words = simulate_words(rig, path, plan=plan)
     process = subprocess.Popen(
         [sys.executable, "-m", "gonio", *words],

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from gonio.fitting import uncertainty
+from gonio.fitting import curvature, uncertainty
 from gonio.fitting.optimise import UNDETERMINED, Optimum, minimise, pinned_at
 from gonio.fitting.problem import Problem
 from gonio.geometry import FloatArray
@@ -136,12 +136,10 @@ def known_directions(optimum: Optimum, noise_scale: float) -> FloatArray:
     A direction about which the data say nothing has no column: predictions do not depend on it.
     """
     index = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
-    scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
-    scaled = optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
+    values, vectors, scale = curvature.axes(optimum.curvature, index)
     known = values > UNDETERMINED
     root = np.zeros((len(optimum.p), int(np.count_nonzero(known))))
-    root[index] = noise_scale * scale[:, None] * vectors[:, known] / np.sqrt(values[known])
+    root[index] = noise_scale / scale[:, None] * vectors[:, known] / np.sqrt(values[known])
     return root
 
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.optimise import UNDETERMINED
+from gonio.fitting import curvature
 from gonio.fitting.problem import Problem
 from gonio.fitting.uncertainty import shared_change
 from gonio.geometry import FloatArray
@@ -276,23 +276,10 @@ def _compact(term: SharedTerm, n: int) -> NDArray[np.int64]:
 
 def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Inverse over the parameters that take no part in a direction without information."""
-    n_p = len(information)
-    diagonal = np.diag(information)
-    determined = np.asarray(diagonal > 0)
+    determined = curvature.determined(information, np.ones(len(information), np.bool_))
     index = np.flatnonzero(determined)
-    inverse = np.zeros((n_p, n_p))
-    if len(index) == 0:
-        return inverse, determined
-    scale = 1 / np.sqrt(diagonal[index])
-    values, vectors = np.linalg.eigh(information[np.ix_(index, index)] * np.outer(scale, scale))
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value < UNDETERMINED:
-            determined[index[np.abs(vector) > 1e-3]] = False
-    index = np.flatnonzero(determined)
-    if len(index):
-        scale = 1 / np.sqrt(diagonal[index])
-        scaled = information[np.ix_(index, index)] * np.outer(scale, scale)
-        inverse[np.ix_(index, index)] = np.linalg.inv(scaled) * np.outer(scale, scale)
+    inverse = np.zeros_like(information)
+    inverse[np.ix_(index, index)] = curvature.inverse(information, index)
     return inverse, determined
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting import curvature
 from gonio.fitting.mending import Mending, facts, mend
 from gonio.fitting.optimise import Optimum, minimise, pinned_at
 from gonio.fitting.problem import Problem
@@ -127,7 +128,7 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
     informed = np.asarray(np.diag(h) > 0)
     free = np.flatnonzero(optimum.free)
     seen = free[informed[free]]
-    values, vectors, scale = _axes(h, seen)
+    values, vectors, scale = curvature.axes(h, seen)
     missing = {int(k) for k in free if not informed[k]}
     for value, vector in zip(values, vectors.T, strict=True):
         if value < UNDETERMINED:
@@ -192,22 +193,6 @@ def profile(problem: Problem, optimum: Optimum, j: int, points: FloatArray) -> F
 # ---------------------------------------------------------------- information
 
 
-def _axes(h: FloatArray, index: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eigenvalues, eigenvectors and scale of the information with a unit diagonal."""
-    scale = np.sqrt(np.diag(h)[index])
-    if len(index) == 0:
-        return np.empty(0), np.empty((0, 0)), scale
-    values, vectors = np.linalg.eigh(h[np.ix_(index, index)] / np.outer(scale, scale))
-    return values, vectors, scale
-
-
-def _inverse(h: FloatArray, index: NDArray[np.int64]) -> FloatArray:
-    """Inverse over these parameters, by their scaled form."""
-    scale = np.sqrt(np.diag(h)[index])
-    inverse = np.linalg.inv(h[np.ix_(index, index)] / np.outer(scale, scale))
-    return np.asarray(inverse / np.outer(scale, scale))
-
-
 def _known(free: NDArray[np.int64], missing: set[int]) -> NDArray[np.int64]:
     return np.array([k for k in free if k not in missing], dtype=np.int64)
 
@@ -220,7 +205,7 @@ def _hardly(
     if len(index) == 0:
         return set()
     h = optimum.curvature
-    variance = np.diag(_inverse(h, index)) * noise**2
+    variance = np.diag(curvature.inverse(h, index)) * noise**2
     found = set()
     for k, v in zip(index.tolist(), variance, strict=True):
         q = problem.parameters[k]
@@ -238,7 +223,7 @@ def _correlation(
     place = {int(k): n for n, k in enumerate(index)}
     r = np.eye(0)
     if len(index):
-        inverse = _inverse(h, index)
+        inverse = curvature.inverse(h, index)
         sd = np.sqrt(np.diag(inverse))
         r = np.clip(inverse / np.outer(sd, sd), -1, 1)
 
@@ -274,7 +259,7 @@ def _bounds(
     # Of many samples some stand for all, each with the information of several.
     some = thinned(problem, MOST)
     found = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
-    for k, v in zip(index.tolist(), np.diag(_inverse(found, index)), strict=True):
+    for k, v in zip(index.tolist(), np.diag(curvature.inverse(found, index)), strict=True):
         q = problem.parameters[k]
         bounds[q.name] = q.to_file(float(np.sqrt(v))) if v > 0 else None
     return bounds

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gonio.fitting.curvature import TAKES_PART, axes
 from gonio.fitting.optimise import Optimum
 from gonio.fitting.problem import Problem
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
@@ -182,14 +183,10 @@ def _standard(information: FloatArray, free: np.ndarray) -> FloatArray:
     """Standard uncertainties (P,); infinite where there is no information."""
     found = np.full(len(information), np.inf)
     index = free[np.diag(information)[free] > 0]
-    if len(index) == 0:
-        return found
-    scale = np.sqrt(np.diag(information)[index])
-    scaled = information[np.ix_(index, index)] / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
+    values, vectors, scale = axes(information, index)
     # A direction without information makes its parameters unknown.
     share = vectors**2 / np.maximum(values, 1e-300)
-    lost = np.any((values < UNDETERMINED) & (np.abs(vectors) > 1e-3), axis=1)
+    lost = np.any((values < UNDETERMINED) & (np.abs(vectors) > TAKES_PART), axis=1)
     found[index] = np.where(lost, np.inf, np.sqrt(share.sum(axis=1)) / scale)
     return found
 

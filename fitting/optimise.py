@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting import scan
+from gonio.fitting.curvature import TAKES_PART, axes
 from gonio.fitting.problem import Problem
 from gonio.geometry import FloatArray
 from gonio.kernels import boxed
@@ -24,7 +25,6 @@ VERIFIED = 1e-3  # a minimum is verified where it is this part
 SAME_PLACE = 0.1  # of the uncertainty: two ends that are nearer are one minimum
 ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
 NEAR_BOUND = 1e-6  # of the range: near enough to a bound to be put on it
-TAKES_PART = 1e-3  # of a direction without information: a parameter that it moves
 DEEPER = 1e-9  # relative difference of chi-squared that is not rounding
 SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient
 CHECKED = 12  # samples at which derivatives are compared
@@ -353,8 +353,7 @@ def _leave_chance_bounds(state: _State) -> None:
     at_bound = (state.p <= box.lower) | (state.p >= box.upper)
     if len(linear) < 2 or not at_bound[linear].any():
         return
-    scale = np.sqrt(np.diag(state.h)[linear])
-    values, vectors = np.linalg.eigh(state.h[np.ix_(linear, linear)] / np.outer(scale, scale))
+    values, vectors, scale = axes(state.h, linear)
     for vector in vectors.T[values < UNDETERMINED]:
         line = np.zeros(len(state.p))
         line[linear] = np.where(np.abs(vector) > TAKES_PART, vector / scale, 0.0)

@@ -184,7 +184,7 @@ def sample(
 
 def _is_plain(problem: Problem) -> bool:
     """Whether this is one model with independent noise whose squared residuals are summed."""
-    return type(problem) is Problem and getattr(problem, "loss", "chi2") in {None, "chi2"}
+    return type(problem) is Problem and problem.quadratic
 
 
 def _sum_is_near(problem: Problem, mode: FloatArray, root: FloatArray) -> bool:

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting import curvature
 from gonio.fitting.losses import CHI2
 from gonio.fitting.optimise import Optimum, minimise, pinned_at, within_sum
 from gonio.fitting.problem import Problem
 from gonio.geometry import FloatArray, rotated
-from gonio.kernels.boxed import UNDETERMINED
 from gonio.samples import SharedTerm
 
 
@@ -122,8 +122,8 @@ def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncerta
     data = problem.samples.value, f, problem.inverse_variance, problem.components[5]
     bread = law.bread(*data)
     r, weight = law.linearised(*data)
-    curvature = (jac * bread[:, None]).T @ jac
-    determined, inverse = inverse_curvature(replace(optimum, curvature=curvature))
+    bent = (jac * bread[:, None]).T @ jac
+    determined, inverse = inverse_curvature(replace(optimum, curvature=bent))
     score = jac * (weight * r)[:, None]
     meat = score.T @ score * problem.n / max(problem.n - len(p), 1)
     # An error of the data moves the estimate as under least squares with these weights.
@@ -135,7 +135,7 @@ def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncerta
 
 def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
     """Which free parameters the data determine, and the inverse curvature of these, (P, P)."""
-    determined = _determined(optimum.curvature, optimum.free)
+    determined = curvature.determined(optimum.curvature, optimum.free)
     index = np.flatnonzero(determined)
     n_p = len(optimum.p)
     inverse = np.zeros((n_p, n_p))
@@ -148,20 +148,6 @@ def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
         inverse[np.ix_(index, index)] = inside * np.outer(scale, scale)
     determined[list(optimum.limited)] = False
     return determined, inverse
-
-
-def _determined(curvature: FloatArray, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Free parameters that take no part in a direction without information."""
-    determined = free & (np.diag(curvature) > 0)
-    index = np.flatnonzero(determined)
-    if len(index) == 0:
-        return determined
-    scale = 1 / np.sqrt(np.diag(curvature)[index])
-    values, vectors = np.linalg.eigh(curvature[np.ix_(index, index)] * np.outer(scale, scale))
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value < UNDETERMINED:
-            determined[index[np.abs(vector) > 1e-3]] = False
-    return determined
 
 
 def _moves(

@@ -1,0 +1,51 @@
+"""Which parameters a curvature J^T W J determines, and its inverse over these.
+
+Parameters differ in size and unit: everything is done on the curvature with a unit diagonal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.geometry import FloatArray
+from gonio.kernels.boxed import UNDETERMINED
+
+TAKES_PART = 1e-3  # component of a direction without information above which a parameter is in it
+
+
+def axes(h: FloatArray, index: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eigenvalues, eigenvectors and scale of the curvature of these parameters.
+
+    Parameters
+    ----------
+    h : ndarray, shape (P, P)
+    index : ndarray of int64
+        Parameters with a curvature above 0.
+
+    Returns
+    -------
+    values, vectors, scale : ndarray
+        Of h / (scale scale^T), growing, column by column; scale is the root of the diagonal.
+    """
+    scale = np.sqrt(np.diag(h)[index])
+    values, vectors = np.linalg.eigh(h[np.ix_(index, index)] / np.outer(scale, scale))
+    return values, vectors, scale
+
+
+def determined(h: FloatArray, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Parameters among these that take no part in a direction without information."""
+    known = np.asarray(among & (np.diag(h) > 0))
+    index = np.flatnonzero(known)
+    values, vectors, _ = axes(h, index)
+    for vector in vectors.T[values < UNDETERMINED]:
+        known[index[np.abs(vector) > TAKES_PART]] = False
+    return known
+
+
+def inverse(h: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+    """Inverse of the curvature of these parameters, in the order of `index`."""
+    scale = np.sqrt(np.diag(h)[index])
+    return np.asarray(
+        np.linalg.inv(h[np.ix_(index, index)] / np.outer(scale, scale)) / np.outer(scale, scale)
+    )

@@ -21,3 +21,18 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real measurements at {folder}; set GONIO_TEST_DATA to their folder")
     return folder
+
+
+@pytest.fixture
+def gonio(capsys):
+    """Run the command line in this process: (exit code, stdout, stderr)."""
+
+    def run(*words):
+        from gonio import cli
+
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            cli.main([str(word) for word in words])
+        return left.value.code, *capsys.readouterr()
+
+    return run

@@ -65,19 +65,6 @@ def damaged(recorded, tmp_path):
     return Path(shutil.copytree(recorded, tmp_path / "copy.gonio"))
 
 
-@pytest.fixture
-def gonio(capsys):
-    """Run the command line in this process: (exit code, stdout, stderr)."""
-
-    def run(*words):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(word) for word in words])
-        return left.value.code, *capsys.readouterr()
-
-    return run
-
-
 def simulate_words(rig, output, *, surface=("rolled_brass",), plan=PLAN):
     return ["simulate", *surface, "--instrument", str(rig), *plan, "-o", str(output)]
 

@@ -8,23 +8,10 @@ import re
 import numpy as np
 import pytest
 
-from gonio import cli, models
+from gonio import models
 from gonio.fitting import optimise, posterior
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions
-
-
-@pytest.fixture
-def gonio(capsys):
-    """Run the command line in this process: (exit code, stdout, stderr)."""
-
-    def run(*words):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(word) for word in words])
-        return left.value.code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

@@ -8,24 +8,11 @@ import re
 import numpy as np
 import pytest
 
-from gonio import cli, formats, models
+from gonio import formats, models
 from gonio.errors import ConfigurationError
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
-
-
-@pytest.fixture
-def gonio(capsys):
-    """Run the command line in this process: (exit code, stdout, stderr)."""
-
-    def run(*words):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(word) for word in words])
-        return left.value.code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gonio import cli, formats, models
+from gonio import formats, models
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting import criteria
 from gonio.fitting.compare import compare
@@ -283,19 +283,6 @@ def test_no_noise_to_judge_by(matt):
 
 
 # ---------------------------------------------------------------- the command
-
-
-@pytest.fixture
-def gonio(capsys):
-    """Run the command line in this process: (exit code, stdout, stderr)."""
-
-    def run(*words):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(word) for word in words])
-        return left.value.code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

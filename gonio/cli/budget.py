@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rich_click as click
 
+from gonio.cli.measured import pairs, read_source
 from gonio.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from gonio.samples import BRDFSamples
 
 _NAMES = ("theta_i", "phi_i", "theta_r", "phi_r")
 
@@ -46,7 +44,7 @@ def command(
     from gonio.cli.options import echo_json
 
     place = None if at is None else _directions(at)
-    found = budget(_read(source, selections, threads))
+    found = budget(read_source(source, pairs(selections), threads))
     report = found.describe(None if place is None else found.nearest(*place))
     if as_json:
         echo_json({**report, "source": str(source)})
@@ -71,30 +69,6 @@ def _directions(text: str) -> tuple[float, float, float, float]:
             value=text,
         ) from None
     return theta_i, phi_i, theta_r, phi_r
-
-
-def _read(source: Path, selections: tuple[str, ...], threads: int | None) -> BRDFSamples:
-    from gonio import formats
-
-    select = {}
-    for item in selections:
-        key, equals, value = (part.strip() for part in item.partition("="))
-        if not (equals and key and value):
-            raise ConfigurationError(
-                f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
-            )
-        select[key] = value
-    if not source.is_dir():
-        return formats.read(source, select=select)
-    from gonio.calibration.reduction import reduce
-    from gonio.cli.progress import progress
-    from gonio.session import Session
-
-    session = Session.open(source)
-    session.require_complete()
-    with progress(f"reducing {source.name or source}", "images") as callback:
-        samples = reduce(session, threads=threads, progress=callback)
-    return formats.choose(samples, select) if select else samples
 
 
 def _show(report: dict[str, Any], source: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from gonio.cli.measured import WEIGHTS, read_samples, sample_options
+from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def _tell(found: Comparison, output: Path | None) -> None:
     from rich.table import Table
 
     click.echo(
-        f"{found.n_samples} samples, {len(found.groups)} incidences{_cuts(found)}; "
+        f"{found.n_samples} samples, {len(found.groups)} incidences{cuts_told(found.cuts)}; "
         f"weights: {WEIGHTS[found.weights]}"
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
@@ -150,19 +150,6 @@ def _legend(found: Comparison, stated: bool) -> str:
     parts += [] if stated else ["rel.chi2: chi2/dof by that of the best fit"]
     doubtful = any(_doubtful(entry) for entry in found.entries)
     return "; ".join(parts + (["?: not to be trusted"] if doubtful else []))
-
-
-def _cuts(found: Comparison) -> str:
-    cuts = [
-        f"{name} <= {limit:g} deg"
-        for name, limit in (
-            ("theta_i", found.cuts["max_theta_i_deg"]),
-            ("theta_r", found.cuts["max_theta_r_deg"]),
-        )
-        if limit is not None
-    ]
-    cuts += [f"{key} = {value}" for key, value in found.cuts["select"].items()]
-    return f" with {', '.join(cuts)}" if cuts else ""
 
 
 def _row(entry: Entry, unit: float, *, first: bool) -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli import explain, posteriors
-from gonio.cli.measured import WEIGHTS, read_samples, sample_options
+from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
 from gonio.errors import ConfigurationError, DataError
 
@@ -289,21 +289,12 @@ def _tell(
     """The result as a table, with warnings under it."""
     from rich.console import Console
 
-    cuts = [
-        f"{name} <= {limit:g} deg"
-        for name, limit in (
-            ("theta_i", result.cuts["max_theta_i_deg"]),
-            ("theta_r", result.cuts["max_theta_r_deg"]),
-        )
-        if limit is not None
-    ]
-    cuts += [f"{key} = {value}" for key, value in result.cuts["select"].items()]
     parts = f" in {len(result.parts)} parts" if result.parts else ""
     click.echo(f"{model.title} ({model.reference})")
     click.echo(
-        f"{result.n_samples} samples{parts}" + (f" with {', '.join(cuts)}" if cuts else "")
-        + f"; weights: {WEIGHTS[result.weights]}"
-    )  # fmt: skip
+        f"{result.n_samples} samples{parts}{cuts_told(result.cuts)}; "
+        f"weights: {WEIGHTS[result.weights]}"
+    )
     click.echo(f"loss: {result.loss}; engine: {result.engine}")
     # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
     console = Console(width=max(80, _terminal_width()), highlight=False, markup=False)

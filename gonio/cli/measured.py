@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -86,7 +86,7 @@ def read_samples(
         If the source cannot be read, or no sample is left.
     """
     select = pairs(selections)
-    samples = _read(source, select, threads)
+    samples = read_source(source, select, threads)
     radians = [
         None if limit is None else math.radians(limit) for limit in (max_theta_i, max_theta_r)
     ]
@@ -126,8 +126,8 @@ def pairs(selections: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def _read(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
-    """Samples from a session folder or from a file."""
+def read_source(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
+    """Samples from a session folder or from a file, the selected ones (see `pairs`)."""
     from gonio import formats
 
     if not source.is_dir():
@@ -156,3 +156,17 @@ def _require_one_channel(source: Path, samples: BRDFSamples, hint: str) -> None:
                 f"of {shown}.{hint}",
                 value=values,
             )
+
+
+def cuts_told(cuts: Mapping[str, Any]) -> str:
+    """What was left out, to stand behind the number of samples; empty where nothing was."""
+    told = [
+        f"{name} <= {limit:g} deg"
+        for name, limit in (
+            ("theta_i", cuts["max_theta_i_deg"]),
+            ("theta_r", cuts["max_theta_r_deg"]),
+        )
+        if limit is not None
+    ]
+    told += [f"{key} = {value}" for key, value in cuts["select"].items()]
+    return f" with {', '.join(told)}" if told else ""

@@ -178,16 +178,5 @@ def _from_frames(case: Case, truth: FloatArray, rng: np.random.Generator) -> Dat
 
 def small_instrument(light: float = 1.0) -> Instrument:
     """`ideal12` with few, large pixels and so much of its light."""
-    rig = preset("ideal12")
-    pitch = rig.sensor.rows * rig.sensor.pitch_um[0] / (2 * SIDE)
-    coarse = {
-        "rows": 2 * SIDE, "columns": 2 * SIDE, "pitch_um": (pitch, pitch), "binning": 2,
-    }  # fmt: skip
-    return rig.model_copy(
-        update={
-            "sensor": rig.sensor.model_copy(update=coarse),
-            "lamp": rig.lamp.model_copy(
-                update={"white_rate_e_per_s": light * rig.lamp.white_rate_e_per_s}
-            ),
-        }
-    )
+    rig = preset("ideal12").with_pixels(SIDE)
+    return rig.altered(lamp={"white_rate_e_per_s": light * rig.lamp.white_rate_e_per_s})

@@ -40,19 +40,7 @@ METAL = WARD.vector({"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.1, "alpha_y": 0.2}
 
 def instrument(**parts):
     """The preset ideal12 with N x N pixels and some figures changed."""
-    rig = preset("ideal12")
-    pitch = rig.sensor.rows * rig.sensor.pitch_um[0] / (2 * N)
-    coarse = {
-        "rows": 2 * N,
-        "columns": 2 * N,
-        "pitch_um": (pitch, pitch),
-        "binning": 2,
-        "binned_divisor": 1,
-    }
-    parts = {"sensor": {}} | parts
-    parts["sensor"] = coarse | parts["sensor"]
-    changed = {name: getattr(rig, name).model_copy(update=new) for name, new in parts.items()}
-    return rig.model_copy(update=changed)
+    return preset("ideal12").with_pixels(N).altered(**parts)
 
 
 def eq2(rig, theta_i_deg, *, standard_scale=1.0, lamp=1.0, standard_at=None, certified=True):

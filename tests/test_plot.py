@@ -33,9 +33,7 @@ SHINY = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.15, "alpha_y": 0.2}
 
 def small() -> Instrument:
     """ideal12 with 104 x 104 pixels."""
-    rig = preset("ideal12")
-    coarse = {"rows": 208, "columns": 208, "pitch_um": (27.6, 27.6), "binning": 2}
-    return rig.model_copy(update={"sensor": rig.sensor.model_copy(update=coarse)})
+    return preset("ideal12").with_pixels(104)
 
 
 @pytest.fixture(scope="module")

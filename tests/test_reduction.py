@@ -23,12 +23,7 @@ RHO = 0.6
 
 def small(**parts) -> Instrument:
     """ideal12 with 104 x 104 pixels and a few changed figures of its parts."""
-    rig = preset("ideal12")
-    coarse = {"rows": 208, "columns": 208, "pitch_um": (27.6, 27.6), "binning": 2}
-    parts = {"sensor": {}} | parts
-    parts["sensor"] = coarse | parts["sensor"]
-    changed = {name: getattr(rig, name).model_copy(update=new) for name, new in parts.items()}
-    return rig.model_copy(update=changed)
+    return preset("ideal12").with_pixels(104).altered(**parts)
 
 
 def plan(theta_i_deg=(0.0, 30.0, 60.0), rotations_deg=(0.0,), exposures_s=EXPOSURES, repeats=1):

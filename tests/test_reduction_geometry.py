@@ -23,11 +23,7 @@ ROUND = {"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.12, "alpha_y": 0.12}
 
 def small(**parts) -> Instrument:
     """ideal12 with 104 x 104 pixels and a few changed figures of its parts."""
-    rig = preset("ideal12")
-    coarse = {"rows": 208, "columns": 208, "pitch_um": (27.6, 27.6), "binning": 2}
-    parts = {"sensor": coarse} | parts
-    changed = {name: getattr(rig, name).model_copy(update=new) for name, new in parts.items()}
-    return rig.model_copy(update=changed)
+    return preset("ideal12").with_pixels(104).altered(**parts)
 
 
 def record(path: Path, rig=None, parameters=None, *, theta_i_deg=(40.0,), psi_deg=0.0) -> Session:

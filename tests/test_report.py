@@ -75,13 +75,11 @@ class Page(HTMLParser):
 def folder(tmp_path_factory) -> Path:
     """A session, its samples, the fit to them and draws beside it, as the commands write them."""
     place = tmp_path_factory.mktemp("report")
-    rig = preset("ideal12")
-    coarse = {"rows": 208, "columns": 208, "pitch_um": (27.6, 27.6), "binning": 2}
     session = gonio.simulate(
         model="ward",
         parameters=TRUE,
         output=place / "shiny.gonio",
-        instrument=rig.model_copy(update={"sensor": rig.sensor.model_copy(update=coarse)}),
+        instrument=preset("ideal12").with_pixels(104),
         plan=Plan(
             theta_i_deg=(10.0, 30.0, 50.0), rotations_deg=(0.0, 90.0), exposures_s=(1e-3, 32e-3)
         ),

@@ -20,19 +20,7 @@ PATTERN, DOME = 11, 12  # seeds of the camera's fixed pattern and of the dome's 
 
 def small(name: str = "ideal12", n: int = 104, **parts) -> Instrument:
     """A preset with n x n pixels (2 x 2 binned) and a few changed figures of its parts."""
-    rig = preset(name)
-    pitch = rig.sensor.rows * rig.sensor.pitch_um[0] / (2 * n)
-    coarse = {
-        "rows": 2 * n,
-        "columns": 2 * n,
-        "pitch_um": (pitch, pitch),
-        "binning": 2,
-        "binned_divisor": 1,
-    }
-    parts = {"sensor": {}} | parts
-    parts["sensor"] = coarse | parts["sensor"]
-    changed = {part: getattr(rig, part).model_copy(update=new) for part, new in parts.items()}
-    return rig.model_copy(update=changed)
+    return preset(name).with_pixels(n).altered(**parts)
 
 
 def images(

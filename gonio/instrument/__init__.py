@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -77,6 +78,39 @@ class Instrument(Part):
                 f"stay inside R = {self.dome.R} mm"
             )
         return self
+
+    def altered(self, **parts: Mapping[str, Any]) -> Instrument:
+        """The instrument with some figures of some parts changed; they are not checked.
+
+        Examples
+        --------
+        >>> preset("ideal12").altered(lamp={"half_angle_deg": 1.0}).lamp.half_angle_deg
+        1.0
+        """
+        changed = {
+            name: getattr(self, name).model_copy(update=dict(figures))
+            for name, figures in parts.items()
+        }
+        return self.model_copy(update=changed)
+
+    def with_pixels(self, n: int) -> Instrument:
+        """The instrument with n x n pixels, each of 2 x 2 of a sensor of the same height.
+
+        Examples
+        --------
+        >>> preset("ideal12").with_pixels(104).sensor.rows
+        208
+        """
+        pitch = self.sensor.rows * self.sensor.pitch_um[0] / (2 * n)
+        return self.altered(
+            sensor={
+                "rows": 2 * n,
+                "columns": 2 * n,
+                "pitch_um": (pitch, pitch),
+                "binning": 2,
+                "binned_divisor": 1,
+            }
+        )
 
 
 def preset_names() -> list[str]:

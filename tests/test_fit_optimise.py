@@ -69,7 +69,7 @@ def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
     index = np.ix_(determined, determined)
     # The polish stops where its next step is 1e-5 of the uncertainties.
     sd = np.sqrt(np.diag(np.linalg.inv(ends[0].curvature[index])) * chi2.min() / problem.n)
-    assert np.all(np.ptp([end.p[determined] for end in ends], axis=0) < 1e-2 * sd)
+    assert np.all(np.ptp([end.p[determined] for end in ends], axis=0) < 1e-3 * sd)
 
 
 def test_a_start_that_leads_to_a_second_minimum_is_told_of():

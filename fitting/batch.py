@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.errors import DataError
-from gonio.geometry import Directions, FloatArray, unit_vectors
-from gonio.kernels import map_blocks, texel_loops_for
+from gonio.geometry import Directions, FloatArray
+from gonio.kernels import TexelLoops, map_blocks, texel_loops_for
 from gonio.models import Model, Parameter
 from gonio.models import get as get_model
 
 STATUS = ("converged", "not_converged", "no_data")  # in the order of the compiled loop's numbers
 BLOCK = 256  # texels that are fitted in one call
-GRID = {1: 9, 2: 4}  # points along each nonlinear parameter, by how many of them there are
+LANES = 8  # numbers of the widest SIMD registers; samples are padded to a multiple of it
+GRID = {1: 9, 2: 5}  # points along each nonlinear parameter, by how many of them there are
 COARSE = 3  # for more of them, and where each texel needs a grid of its own
 
 Progress = Callable[[int, int], None]
@@ -205,16 +206,13 @@ class _Stack:
         """Whether all texels are seen from the same directions."""
         return len(self.directions.shape) == 1
 
-    def components(self, a: int, b: int) -> FloatArray:
-        """Six components of the directions (1 or texels, 6, N)."""
-        t = 1 if self.common_directions else b - a
-        out = np.empty((t, 6, self.shape[1]))
-        for k, end in enumerate("ir"):
-            theta, phi = (getattr(self.directions, f"{name}_{end}") for name in ("theta", "phi"))
-            if not self.common_directions:
-                theta, phi = (np.broadcast_to(angle, self.shape)[a:b] for angle in (theta, phi))
-            vectors = np.broadcast_to(unit_vectors(theta, phi), (t, self.shape[1], 3))
-            out[:, 3 * k : 3 * k + 3] = np.moveaxis(vectors, -1, 1)
+    def angles(self, a: int, b: int) -> FloatArray:
+        """theta_i, phi_i, theta_r, phi_r (texels, 4, N); one texel where all are alike."""
+        t, shape = (1, self.shape[1:]) if self.common_directions else (b - a, self.shape)
+        out = np.empty((t, 4, self.shape[1]))
+        for k, name in enumerate(("theta_i", "phi_i", "theta_r", "phi_r")):
+            angle = np.broadcast_to(getattr(self.directions, name), shape)
+            out[:, k] = angle if self.common_directions else angle[a:b]
         return out
 
     def weights(self, a: int, b: int) -> FloatArray:
@@ -230,13 +228,12 @@ class _Stack:
 
 @dataclass(frozen=True)
 class _Work:
-    """The compiled loop of a model, with all that does not depend on the texel."""
+    """The compiled loops of a model, with all that does not depend on the texel."""
 
-    loop: Callable[..., None]
-    components: FloatArray | None
+    loops: TexelLoops
+    common: tuple[FloatArray, FloatArray, FloatArray] | None
+    width: int
     grid: FloatArray
-    basis: FloatArray
-    products: FloatArray
     linear: NDArray[np.int64]
     lower: FloatArray
     upper: FloatArray
@@ -245,38 +242,42 @@ class _Work:
 
     @classmethod
     def of(cls, model: Model, stack: _Stack) -> _Work:
-        parameters, n = model.parameters, stack.shape[1]
-        loops = texel_loops_for(model.kernel, len(parameters))
-        linear = np.array([j for j, q in enumerate(parameters) if q.linear], np.int64)
-        grid = _grid(parameters, coarse=not stack.common_directions)
-        n_b = 1 + len(linear)
-        n_grid = len(grid) if stack.common_directions else 0
-        basis = np.empty((n_grid, n_b, n))
-        products = np.empty((n_grid, n_b * (n_b + 1) // 2, n))
-        components = None
-        if stack.common_directions:
-            components = stack.components(0, 1)
-            work = np.empty(n), np.empty((len(parameters), n))
-            loops.grid_basis(components[0], grid, linear, *work, basis, products)
-        return cls(
-            loops.fit_texels,
-            components,
-            grid,
-            basis,
-            products,
-            linear,
+        parameters = model.parameters
+        work = cls(
+            texel_loops_for(model.kernel, len(parameters)),
+            None,
+            -(-stack.shape[1] // LANES) * LANES,
+            _grid(parameters, coarse=not stack.common_directions),
+            np.array([j for j, q in enumerate(parameters) if q.linear], np.int64),
             np.array([q.lower for q in parameters]),
             np.array([q.upper for q in parameters]),
             np.array([q.scale == "log" for q in parameters]),
             stack.u is not None,
         )
+        if not stack.common_directions:
+            return work
+        seen, lit, basis = work.room()
+        work.loops.directions(stack.angles(0, 1)[0], np.empty((6, work.width)), seen, lit)
+        columns = np.empty((1 + len(parameters), work.width))
+        work.loops.grid_basis(seen, work.grid, work.linear, columns, basis)
+        return replace(work, common=(seen, lit, basis))
+
+    def room(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What directions say, which of them are lit, and the basis of a texel, to be filled."""
+        basis = np.empty((len(self.grid), 2 + len(self.linear), self.width))
+        return np.empty((self.loops.KEPT, self.width)), np.empty(self.width), basis
 
     def fit(self, stack: _Stack, a: int, b: int, result: TexelFit) -> None:
         """Fit the texels a to b."""
-        w = stack.components(a, b) if self.components is None else self.components
+        if self.common is None:
+            angles = stack.angles(a, b)
+            seen, lit, basis = self.room()
+        else:
+            angles = np.empty((0, 4, 0))
+            seen, lit, basis = self.common[0], self.common[1], self.common[2].copy()
         values = np.ascontiguousarray(stack.values[a:b], float)
-        self.loop(
-            w, stack.weights(a, b), values, self.grid, self.basis, self.products, self.linear,
+        self.loops.fit_texels(
+            seen, angles, lit, stack.weights(a, b), values, self.grid, basis, self.linear,
             self.lower, self.upper, self.log, self.known_noise, result.parameters[a:b],
             result.stderr[a:b], result.chi2[a:b], result.status[a:b], result.determined[a:b],
             result.at_bound[a:b], result.n_samples[a:b],

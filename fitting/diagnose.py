@@ -12,6 +12,7 @@ from gonio.fitting.identify import identify
 from gonio.fitting.optimise import Optimum
 from gonio.fitting.problem import Problem
 from gonio.fitting.residuals import ResidualReport, examine
+from gonio.kernels.copies import suspects
 from gonio.samples import BRDFSamples
 
 SMALLEST, LARGEST = 1e-100, 1e100  # sr^-1, of which squares are numbers
@@ -88,7 +89,8 @@ def without_copies(samples: BRDFSamples) -> BRDFSamples:
     Noise makes no value twice, so that a copy is a row that was written twice and tells nothing
     new; counted again it would make every uncertainty too small.
     """
-    if len(np.unique(samples.value)) == len(samples):
+    suspect = samples.value[suspects(np.ascontiguousarray(samples.value))]
+    if len(np.unique(suspect)) == len(suspect):
         return samples
     d = samples.directions
     columns = [np.broadcast_to(a, (len(samples),)) for a in

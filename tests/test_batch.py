@@ -109,6 +109,21 @@ def test_what_is_masked_or_not_a_number_is_left_out(seen):
         assert found.chi2[t] == pytest.approx(reference.chi2[0], rel=1e-9)
 
 
+def test_samples_on_and_below_the_horizon_are_left_out(seen):
+    values, u = stack("ward", [WARD] * 2, seen)
+    theta_r = np.array(np.broadcast_to(seen.theta_r, (N,)))
+    theta_r[::3], theta_r[0] = 1.7, np.pi / 2
+    low = Directions(seen.theta_i, seen.phi_i, theta_r, seen.phi_r)
+    kept = np.arange(N) % 3 != 0
+    fewer = Directions(*(np.broadcast_to(a, (N,))[kept] for a in vars(seen).values()))
+    reference = fit_texels(fewer, values[:, kept], "ward", u=u[kept])
+    own = Directions(*(np.broadcast_to(a, (2, N)) for a in vars(low).values()))
+    for where in (low, own):
+        found = fit_texels(where, values, "ward", u=u)
+        assert found.n_samples.tolist() == [80, 80]
+        assert found.chi2 == pytest.approx(reference.chi2, rel=1e-6)
+
+
 def test_a_texel_without_data_has_no_numbers(seen):
     values, u = stack("ward", [WARD] * 5, seen)
     values[1] = np.nan

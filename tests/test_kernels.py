@@ -19,6 +19,8 @@ from gonio.errors import ConfigurationError
 from gonio.geometry import unit_vectors
 from gonio.kernels import build, default_threads, fastmath, loops, map_blocks, single
 from gonio.kernels.build import Loops
+from gonio.kernels.copies import suspects
+from gonio.kernels.split import split
 from gonio.models import base
 
 MODEL = models.get("ward")
@@ -101,6 +103,7 @@ class TestLoops:
         public = {name for name in functions if not name.startswith("_")}
         public -= {"call", "store", "unpack"}  # these the header brings
         public -= {"add_products", "mirror", "sum_of_squares"}  # and these, from kernels.sums
+        public -= {"keep_geometry", "kept_gradient"}  # and these, from kernels.kept
         assert public == set(Loops.__dataclass_fields__)
 
     @pytest.mark.parametrize("name", ["ward", "oren_nayar"])
@@ -113,6 +116,95 @@ class TestLoops:
         again(one, one, one, one, one, one, models.get(name).vector({}), one.copy())
         (code,) = again.inspect_llvm().values()
         assert re.search(r"call <\d+ x double> @llvm\.sqrt", code)
+
+
+class TestSums:
+    @pytest.mark.parametrize("n_rows", range(1, 10))
+    def test_products_are_those_of_the_matrix_and_are_added(self, n_rows):
+        from gonio.kernels.sums import add_products
+
+        rng = np.random.default_rng(n_rows)
+        columns, weight = rng.standard_normal((12, 100)), rng.uniform(0, 2, 100)
+        rows = rng.permutation(12)[:n_rows]
+        out = np.full((n_rows, n_rows), 3.0)
+        add_products(columns, rows, weight, np.empty(100), out)
+        expected = 3 + np.tril((columns[rows] * weight) @ columns[rows].T)
+        np.testing.assert_allclose(np.tril(out), np.tril(expected), rtol=1e-12, atol=1e-12)
+
+    @pytest.mark.parametrize("name", ["ward", "oren_nayar", "eon", "lambert+ward_isotropic"])
+    def test_moments_are_chi_squared_for_all_amplitudes(self, name):
+        # With pairs below the horizon, where f is 0 and chi-squared is that of the values.
+        model = models.get(name)
+        p = np.array([q.default for q in model.parameters])
+        linear = tuple(j for j, q in enumerate(model.parameters) if q.linear)
+        w_i, w_r = directions(1, 300), directions(2, 300, theta_max=2.0)
+        value, weight = np.random.default_rng(3).uniform(0, 1, (2, 300))
+        n = len(linear)
+        sums = np.empty((2, 1 + n + n * (n + 1) // 2))
+        loops = build.moment_loops_for(model.kernel, len(p), linear)
+        components = np.ascontiguousarray(np.concatenate([w_i.T, w_r.T]))
+        loops.moments(components, value, weight, np.stack([0.9 * p, p]), sums)
+        f, jac = model.gradient(w_i, w_r, p)
+        columns = np.column_stack([value - f, jac[:, linear]])
+        gram = (columns * weight[:, None]).T @ columns
+        np.testing.assert_allclose(sums[1], gram[np.triu_indices(1 + n)], rtol=1e-11, atol=1e-13)
+
+
+class TestSplit:
+    @pytest.mark.parametrize("name", models.names())
+    def test_the_parts_are_the_kernel_to_the_last_bit(self, name):
+        model = models.get(name)
+        parts = split(model.kernel)
+        p = [q.default for q in model.parameters]
+        for i, r in zip(directions(1, 20), directions(2, 20), strict=True):
+            kept = parts.geometry(*i, *r)
+            assert len(kept) == parts.n
+            assert parts.shape(*kept, *p) == model.kernel(*i, *r, *p)
+
+    def test_square_roots_and_angles_of_directions_are_kept(self):
+        # ward: two slopes and the root; oren_nayar: what sigma tilts, and the second bounce.
+        assert split(models.get("ward").kernel).n == 3
+        assert split(models.get("oren_nayar").kernel).n == 2
+        for name in ("ward", "oren_nayar"):
+            assert not {"sqrt", "arcvers"} & set(
+                split(models.get(name).kernel).shape.__code__.co_names
+            )
+
+    def test_a_name_that_is_bound_again_is_another_one(self):
+        parts = split(_bound_twice)
+        both = parts.shape(*parts.geometry(0, 0, 0.5, 0, 0, 0.25), 2.0)
+        assert both == _bound_twice(0, 0, 0.5, 0, 0, 0.25, 2.0)
+
+    def test_a_kernel_with_a_branch_stays_whole(self):
+        parts = split(_branching)
+        assert parts.shape is _branching
+        assert parts.geometry(1, 2, 3, 4, 5, 6) == (1, 2, 3, 4, 5, 6)
+
+
+def _bound_twice(xi, yi, zi, xr, yr, zr, rho):
+    a = zi + zr
+    b = rho * a
+    a *= a + 1
+    b, c = a * b, rho + zi
+    a = rho * a
+    return a + b + c, b
+
+
+def _branching(xi, yi, zi, xr, yr, zr, rho):
+    if zi > zr:
+        return rho, 1.0
+    return rho * zi, zi
+
+
+class TestCopies:
+    def test_equal_numbers_are_suspected_and_few_others(self):
+        rng = np.random.default_rng(1)
+        value = rng.standard_normal(5000)
+        value[100], value[200], value[300] = value[4000], 0.0, -0.0
+        found = suspects(value)
+        assert found[[100, 200, 300, 4000]].all()
+        assert found.mean() < 0.2
+        assert suspects(np.full(300, 0.1)).all()
 
 
 class TestEvaluate:

@@ -16,6 +16,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
@@ -26,14 +27,16 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 from gonio.kernels.single import in_single, must_be_double, text_in_single
+from gonio.kernels.split import split
 
-_MARK = "# HEADER ENDS"
+_BEGIN, _END = "# HEADER ENDS", "# STAND-INS"
 _HEADER = '''"""Loops around {module}.{name}, written by gonio.kernels.build; safe to delete."""
 import numpy as np
 from numba import njit
 from {module} import {name} as source
 from gonio.kernels.build import compiled
 from gonio.kernels.intrinsics import align_stack
+from gonio.kernels.split import split
 from gonio.kernels.sums import add_products, mirror, sum_of_squares
 
 _float32 = np.float32
@@ -56,6 +59,27 @@ def store(both, above, gradient, k):
 {stores}
 
 '''
+_KEPT = """
+KEPT = {n}
+parts = split(source)
+first, second = compiled(parts.geometry), compiled(parts.shape)
+
+
+@njit(error_model="numpy", inline="always")
+def geometry(xi, yi, zi, xr, yr, zr):
+    return first(xi, yi, zi, xr, yr, zr)
+
+
+@njit(error_model="numpy", inline="always")
+def keep(kept, rows, k):
+{stores}
+
+
+@njit(error_model="numpy", inline="always")
+def shape(rows, k, q):
+    return second({arguments})
+
+"""
 _AMPLITUDES = """
 @njit(inline="always")
 def amplitudes():
@@ -63,7 +87,6 @@ def amplitudes():
 
 """
 _DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")\n'
-_SUMMING = _DECORATOR.replace("nogil", 'fastmath={"reassoc", "contract"}, nogil')
 _DIRECTIONS = ("xi", "yi", "zi", "xr", "yr", "zr")
 
 
@@ -128,12 +151,8 @@ def moment_loops_for(
     stores = [
         f"    gradient[{k}, k] = both[{j + 1}] if above else 0.0" for k, j in enumerate(linear)
     ]
-    header = _header(kernel, n_parameters, stores or ["    pass"]) + _AMPLITUDES.format(len(linear))
-    body = Path(__file__).with_name("moments.py").read_text(encoding="utf-8")
-    body = body.split(_MARK, 1)[1].split("def unpack(", 1)[0]
-    text = header + body.replace("\ndef ", "\n" + _DECORATOR + "def ").replace(
-        _DECORATOR + "def _add(", _SUMMING + "def _add("
-    )
+    text = _header(kernel, n_parameters, stores or ["    pass"]) + _AMPLITUDES.format(len(linear))
+    text += _kept(kernel, n_parameters) + _decorated(_body("moments"))
     prefix = kernel.__module__.replace(".", "_") + "_moments"
     module = generated_module(prefix, text, _ingredients(kernel))
     return MomentLoops(**{name: getattr(module, name) for name in MomentLoops.__dataclass_fields__})
@@ -143,7 +162,9 @@ def moment_loops_for(
 class TexelLoops:
     """The loops of `gonio.kernels.texels` around one model."""
 
+    KEPT: int
     fit_texels: Callable[..., None]
+    directions: Callable[..., None]
     grid_basis: Callable[..., None]
 
 
@@ -154,24 +175,30 @@ def texel_loops_for(kernel: Callable[..., Any], n_parameters: int) -> TexelLoops
         f"    gradient[{j}, k] = both[{j + 1}] if above else 0.0" for j in range(n_parameters)
     ]
     text = _header(kernel, n_parameters, stores)
-    text += "from gonio.kernels.build import small_fits\n\nsmall_fits = small_fits()\n"
-    body = Path(__file__).with_name("texels.py").read_text(encoding="utf-8").split(_MARK, 1)[1]
-    text += body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+    text += "from gonio.kernels.build import small_fits\n"
+    text += "from gonio.kernels.fastmath import sincos\n\n"
+    text += f"small_fits, sincos = small_fits({n_parameters}), compiled(sincos)\n"
+    text += _kept(kernel, n_parameters) + _decorated(_body("texels"))
     prefix = kernel.__module__.replace(".", "_") + "_texels"
     module = generated_module(prefix, text, _ingredients(kernel))
     return TexelLoops(**{name: getattr(module, name) for name in TexelLoops.__dataclass_fields__})
 
 
 @cache
-def small_fits() -> ModuleType:
-    """The compiled functions of `gonio.kernels.small_fits`, the same for all models."""
+def small_fits(n_parameters: int) -> ModuleType:
+    """The compiled functions of `gonio.kernels.small_fits` for models with so many parameters."""
     import numba
 
-    body = Path(__file__).with_name("small_fits.py").read_text(encoding="utf-8")
-    decorator = _DECORATOR.replace(")\n", ', fastmath={"reassoc", "contract"})\n')
-    text = "import math\n\nfrom numba import njit\n" + body.split(_MARK, 1)[1]
-    text = text.replace("\ndef ", "\n" + decorator + "def ")
-    return generated_module("gonio_small_fits", text, [numba.__version__, sys.version])
+    from gonio.kernels.small_fits import SUMS
+
+    text = "import math\n\nfrom numba import njit\nfrom gonio.kernels.sums import add_products\n"
+    text += _decorated(_body("small_fits"))
+    summing = _DECORATOR.replace(")\n", ', fastmath={"reassoc", "contract"})\n')
+    for name in SUMS:
+        text = text.replace(f"{_DECORATOR}def {name}(", f"{summing}def {name}(")
+    text = re.sub(r"\bn_p = \w+\.shape\[0\]", f"n_p = {n_parameters}", text)
+    sums = Path(__file__).with_name("sums.py").read_text(encoding="utf-8")
+    return generated_module("gonio_small_fits", text, [numba.__version__, sys.version, sums])
 
 
 @cache
@@ -263,8 +290,7 @@ def _ingredients(kernel: Callable[..., Any]) -> list[str]:
 
 def _render(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> str:
     """Text of the generated module: header and decorated loops."""
-    text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
-    body = text.split(_MARK, 1)[1].split("def unpack(", 1)[0]
+    body = _body("loops")
     zero = "_float32(0.0)" if single else "0.0"
     if single:
         body = "\n\n\n" + text_in_single(body, tuple(SingleLoops.__dataclass_fields__))
@@ -272,7 +298,27 @@ def _render(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> s
         f"    gradient[{j}, k] = both[{j + 1}] if above else {zero}" for j in range(n_parameters)
     ]
     header = _header(kernel, n_parameters, stores, single=single)
-    return header + body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+    kept = "" if single else _kept(kernel, n_parameters)
+    return header + kept + _decorated(body)
+
+
+def _body(name: str) -> str:
+    """The loops of a file beside this one, without what stands for the header there."""
+    text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+    return text.split(_BEGIN, 1)[1].split(_END, 1)[0]
+
+
+def _decorated(body: str) -> str:
+    return body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+
+
+def _kept(kernel: Callable[..., Any], n_parameters: int) -> str:
+    """The two parts of a kernel, and the loops over what the first one says."""
+    n = split(kernel).n
+    arguments = [f"rows[{k}, k]" for k in range(n)] + [f"q[{j}]" for j in range(n_parameters)]
+    stores = "\n".join(f"    rows[{k}, k] = kept[{k}]" for k in range(n))
+    text = _KEPT.format(n=n, stores=stores, arguments=", ".join(arguments))
+    return text + _decorated(_body("kept"))
 
 
 def _header(

@@ -125,15 +125,16 @@ def normal_equations(s, value, inverse_variance, points, rows, first, last, out)
     block of samples stays in the first cache for all points.
     """
     columns = np.empty((points.shape[1] + 1, BLOCK))
-    work = np.empty(BLOCK)
+    kept, lit, work = np.empty((KEPT, BLOCK)), np.empty(BLOCK), np.empty(BLOCK)
     out[:] = 0.0
     for a in range(first, last, BLOCK):
         e = min(a + BLOCK, last)
         f, slopes = columns[0, : e - a], columns[1:]
         xi, yi, zi = s[0, a:e], s[1, a:e], s[2, a:e]
         xr, yr, zr = s[3, a:e], s[4, a:e], s[5, a:e]
+        all_lit = keep_geometry(xi, yi, zi, xr, yr, zr, kept, lit)
         for b in range(points.shape[0]):
-            evaluate_gradient(xi, yi, zi, xr, yr, zr, points[b], f, slopes)
+            kept_gradient(kept, lit, all_lit, unpack(points[b]), f, slopes)
             for t in range(e - a):
                 f[t] = value[a + t] - f[t]
             add_products(columns, rows, inverse_variance[a:e], work, out[b])
@@ -229,6 +230,9 @@ def image(w_i, w_r, ray_weight, p, out):
         out[pixel] = total
 
 
+# STAND-INS
+
+
 def unpack(p):
     """The parameter vector as a tuple of scalars; replaced when the loops are compiled."""
     return (p[0],)
@@ -255,3 +259,15 @@ def mirror(out):
 def sum_of_squares(value, f, weight):
     """Stands for `gonio.kernels.sums.sum_of_squares`."""
     return 0.0
+
+
+KEPT = 1
+
+
+def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
+    """Stands for `gonio.kernels.kept.keep_geometry`."""
+    return True
+
+
+def kept_gradient(rows, lit, all_lit, q, out, gradient):
+    """Stands for `gonio.kernels.kept.kept_gradient`."""

@@ -8,8 +8,7 @@ where r = y - f at the amplitudes a_ref and f_j = df/da_j. `gonio.kernels.build`
 around a model's kernel as it does `loops.py`; `store` then keeps the derivatives by the amplitudes
 alone, and the compiler leaves the others out.
 
-A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row. `_add` is compiled
-so that its sums may be taken in any order (`reassoc`), which makes them SIMD code.
+A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
 
@@ -31,26 +30,12 @@ def _gradient(xi, yi, zi, xr, yr, zr, q, out, gradient):
         store(both, above, gradient, k)
 
 
-def _add(r, df, weight, n, out):
-    """Add n samples with residuals r to the sums; these may be taken in any order."""
-    n_a = df.shape[0]
-    total = 0.0
-    for t in range(n):
-        total += weight[t] * r[t] * r[t]
-    out[0] += total
-    m = 1
-    for j in range(n_a):
-        total = 0.0
-        for t in range(n):
-            total += weight[t] * r[t] * df[j, t]
-        out[m] += total
-        m += 1
-    for j in range(n_a):
-        for i in range(j, n_a):
-            total = 0.0
-            for t in range(n):
-                total += weight[t] * df[j, t] * df[i, t]
-            out[m] += total
+def _upper(square, out):
+    """The sums row by row: those of the residuals with each column, then of the next column."""
+    m = 0
+    for a in range(square.shape[0]):
+        for b in range(a, square.shape[0]):
+            out[m] = square[b, a]
             m += 1
 
 
@@ -58,25 +43,27 @@ def moments(components, value, weight, batch, out):
     """Sums for each parameter vector of a batch, one direction a sample.
 
     components (6, n): x, y, z of the directions of incidence, then of reflection; weight: inverse
-    variances; batch (B, P): parameter vectors with the amplitudes a_ref; out (B, sums).
+    variances; batch (B, P): parameter vectors with the amplitudes a_ref; out (B, sums). A block of
+    samples stays in the first cache for all vectors.
     """
     n_a = amplitudes()
-    f = np.empty(BLOCK)
-    df = np.empty((n_a, BLOCK))
-    for b in range(batch.shape[0]):
-        q = unpack(batch[b])
-        out[b, :] = 0.0
-        for start in range(0, value.shape[0], BLOCK):
-            stop = min(start + BLOCK, value.shape[0])
-            n = stop - start
-            _gradient(
-                components[0, start:stop], components[1, start:stop], components[2, start:stop],
-                components[3, start:stop], components[4, start:stop], components[5, start:stop],
-                q, f[:n], df,
-            )  # fmt: skip
+    columns, work = np.empty((1 + n_a, BLOCK)), np.empty(BLOCK)
+    rows, squares = np.arange(1 + n_a), np.zeros((batch.shape[0], 1 + n_a, 1 + n_a))
+    f, df = columns[0], columns[1:]
+    kept, lit = np.empty((KEPT, BLOCK)), np.empty(BLOCK)
+    for start in range(0, value.shape[0], BLOCK):
+        stop = min(start + BLOCK, value.shape[0])
+        n = stop - start
+        xi, yi, zi = components[0, start:stop], components[1, start:stop], components[2, start:stop]
+        xr, yr, zr = components[3, start:stop], components[4, start:stop], components[5, start:stop]
+        all_lit = keep_geometry(xi, yi, zi, xr, yr, zr, kept, lit)
+        for b in range(batch.shape[0]):
+            kept_gradient(kept, lit, all_lit, unpack(batch[b]), f[:n], df)
             for t in range(n):
                 f[t] = value[start + t] - f[t]
-            _add(f, df, weight[start:stop], n, out[b])
+            add_products(columns, rows, weight[start:stop], work, squares[b])
+    for b in range(batch.shape[0]):
+        _upper(squares[b], out[b])
 
 
 def factored_moments(components, factor, steps, linear, value, weight, batch, out):
@@ -87,20 +74,19 @@ def factored_moments(components, factor, steps, linear, value, weight, batch, ou
     (B, others) each vector brings. `linear` holds the numbers of the amplitudes.
     """
     n_a = amplitudes()
-    f = np.empty(BLOCK)
-    df = np.empty((n_a, BLOCK))
+    columns, work = np.empty((1 + n_a, BLOCK)), np.empty(BLOCK)
+    rows, squares = np.arange(1 + n_a), np.zeros((batch.shape[0], 1 + n_a, 1 + n_a))
+    f, df = columns[0], columns[1:]
+    kept, lit = np.empty((KEPT, BLOCK)), np.empty(BLOCK)
     scale = np.empty(BLOCK)
-    for b in range(batch.shape[0]):
-        q = unpack(batch[b])
-        out[b, :] = 0.0
-        for start in range(0, value.shape[0], BLOCK):
-            stop = min(start + BLOCK, value.shape[0])
-            n = stop - start
-            _gradient(
-                components[0, start:stop], components[1, start:stop], components[2, start:stop],
-                components[3, start:stop], components[4, start:stop], components[5, start:stop],
-                q, f[:n], df,
-            )  # fmt: skip
+    for start in range(0, value.shape[0], BLOCK):
+        stop = min(start + BLOCK, value.shape[0])
+        n = stop - start
+        xi, yi, zi = components[0, start:stop], components[1, start:stop], components[2, start:stop]
+        xr, yr, zr = components[3, start:stop], components[4, start:stop], components[5, start:stop]
+        all_lit = keep_geometry(xi, yi, zi, xr, yr, zr, kept, lit)
+        for b in range(batch.shape[0]):
+            kept_gradient(kept, lit, all_lit, unpack(batch[b]), f[:n], df)
             for j in range(n_a):
                 a = batch[b, linear[j]]
                 for t in range(n):
@@ -122,7 +108,9 @@ def factored_moments(components, factor, steps, linear, value, weight, batch, ou
                         f[t] += a * df[j - 1, t]
             for t in range(n):
                 f[t] = value[start + t] - f[t]
-            _add(f, df, weight[start:stop], n, out[b])
+            add_products(columns, rows, weight[start:stop], work, squares[b])
+    for b in range(batch.shape[0]):
+        _upper(squares[b], out[b])
 
 
 def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
@@ -134,13 +122,14 @@ def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
     s = np.empty((6, BLOCK))
     f = np.empty(BLOCK)
     df = np.empty((n_a, BLOCK))
-    r = np.empty(BLOCK)
-    dr = np.empty((n_a, BLOCK))
+    columns, work = np.empty((1 + n_a, BLOCK)), np.empty(BLOCK)
+    rows, square = np.arange(1 + n_a), np.empty((1 + n_a, 1 + n_a))
+    r, dr = columns[0], columns[1:]
     owner = np.empty(BLOCK, np.int64)
     part = np.empty(BLOCK)
     for b in range(batch.shape[0]):
         q = unpack(batch[b])
-        out[b, :] = 0.0
+        square[:] = 0.0
         for start in range(0, value.shape[0], BLOCK):
             stop = min(start + BLOCK, value.shape[0])
             for t in range(stop - start):
@@ -158,7 +147,8 @@ def cell_moments(w_i, w_r, share, offsets, first, value, weight, batch, out):
                         _gather(s, q, f, df, owner, part, m, r, dr)
                         m = 0
             _gather(s, q, f, df, owner, part, m, r, dr)
-            _add(r, dr, weight[start:stop], stop - start, out[b])
+            add_products(columns, rows, weight[start:stop], work, square)
+        _upper(square, out[b])
 
 
 def _gather(s, q, f, df, owner, part, m, r, dr):
@@ -168,6 +158,9 @@ def _gather(s, q, f, df, owner, part, m, r, dr):
         r[owner[k]] -= part[k] * f[k]
         for j in range(df.shape[0]):
             dr[j, owner[k]] += part[k] * df[j, k]
+
+
+# STAND-INS
 
 
 def unpack(p):
@@ -188,3 +181,19 @@ def store(both, above, gradient, k):
 def call(xi, yi, zi, xr, yr, zr, q):
     """Stands for a model's kernel: (f, df/dp_0, ...); replaced when the loops are compiled."""
     return (q[0], 1.0)
+
+
+def add_products(columns, rows, weight, work, out):
+    """Stands for `gonio.kernels.sums.add_products`."""
+
+
+KEPT = 1
+
+
+def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
+    """Stands for `gonio.kernels.kept.keep_geometry`."""
+    return True
+
+
+def kept_gradient(rows, lit, all_lit, q, out, gradient):
+    """Stands for `gonio.kernels.kept.kept_gradient`."""

@@ -8,14 +8,67 @@ from __future__ import annotations
 
 from numba import njit
 
+from gonio.kernels.build import generated_module
+
 # A sum over SIMD lanes is another order of additions, which only these flags allow. The order is
 # that of the machine code, the same for every number of threads.
 _SUMS = {"reassoc", "contract", "nsz"}
+_HEADER = f"""from numba import njit
+
+SUMS = {sorted(_SUMS)!r}
+"""
+# Rows for which all sums are made in one pass: those of more do not fit the registers.
+_FUSED = range(2, 8)
+
+
+def _fused(n):
+    """Text of `products_n(columns, rows, weight, out)`: the sums of n rows in one pass."""
+    columns = [f"    c_{a} = columns[rows[{a}]]" for a in range(n)]
+    pairs = [(a, b) for a in range(n) for b in range(a + 1)]
+    lines = [
+        "",
+        '@njit(nogil=True, cache=True, error_model="numpy", fastmath=set(SUMS))',
+        f"def products_{n}(columns, rows, weight, out):",
+        *columns,
+        *(f"    s_{a}_{b} = 0.0" for a, b in pairs),
+        "    for t in range(weight.shape[0]):",
+    ]
+    for a in range(n):
+        lines += [f"        x_{a} = c_{a}[t]", f"        w_{a} = weight[t] * x_{a}"]
+        lines += [f"        s_{a}_{b} += w_{a} * x_{b}" for b in range(a + 1)]
+    lines += [f"    out[{a}, {b}] += s_{a}_{b}" for a, b in pairs]
+    return "\n".join(lines) + "\n"
+
+
+_module = generated_module("gonio_products", _HEADER + "\n".join(map(_fused, _FUSED)))
+products_2, products_3, products_4, products_5, products_6, products_7 = (
+    getattr(_module, f"products_{n}") for n in _FUSED
+)
+
+
+@njit(nogil=True, error_model="numpy")
+def add_products(columns, rows, weight, work, out):
+    """Add sum_t weight[t] columns[rows[a], t] columns[rows[b], t] to out[a, b], for b <= a."""
+    n = rows.shape[0]
+    if n == 2:
+        products_2(columns, rows, weight, out)
+    elif n == 3:
+        products_3(columns, rows, weight, out)
+    elif n == 4:
+        products_4(columns, rows, weight, out)
+    elif n == 5:
+        products_5(columns, rows, weight, out)
+    elif n == 6:
+        products_6(columns, rows, weight, out)
+    elif n == 7:
+        products_7(columns, rows, weight, out)
+    else:
+        _products(columns, rows, weight, work, out)
 
 
 @njit(nogil=True, error_model="numpy", fastmath=_SUMS)
-def add_products(columns, rows, weight, work, out):
-    """Add sum_t weight[t] columns[rows[a], t] columns[rows[b], t] to out[a, b], for b <= a."""
+def _products(columns, rows, weight, work, out):
+    """`add_products` of any number of rows, one sum after the other."""
     n = weight.shape[0]
     for a in range(rows.shape[0]):
         left = columns[rows[a]]

@@ -12,47 +12,55 @@ of threads.
 import numpy as np
 
 from gonio.kernels import small_fits
-from gonio.kernels.loops import call, store, unpack
+from gonio.kernels.fastmath import sincos
+from gonio.kernels.loops import unpack
 
 # HEADER ENDS
 
+HORIZON = np.pi / 2  # exactly horizontal, which its cosine is not
 FOLLOWED = 3  # points of the grid that are followed where the best leads to a bound or nowhere
 
 
 def fit_texels(
-    w, weight, values, grid, basis, products, linear, lower, upper, log, known_noise,
+    seen, angles, lit, weight, values, grid, basis, linear, lower, upper, log, known_noise,
     p_out, stderr, chi2_out, status, known, bound, used,
 ):  # fmt: skip
     """Fit every texel; row t of each output belongs to texel t.
 
-    w (1 or T, 6, N): components of the directions; weight (1 or T, N): inverse variances, 0 for
-    a sample that is left out; values (T, N); grid (M, P): points to start from, with the
-    amplitudes at any value; basis (M, 1 + amplitudes, N) and products: what `grid_basis` makes of
-    them where the directions are those of all texels, empty otherwise; linear: numbers of the
-    amplitudes; status 0 converged, 1 not, 2 no data; bound -1, 0 or 1.
+    seen (KEPT, W): what the directions of all texels say to the model, or room for those of one;
+    angles (0 or T, 4, N): theta_i, phi_i, theta_r, phi_r of each texel, where they are its own; lit
+    (W,): 1 where both directions are above the horizon, else 0. weight (1 or T, N): inverse
+    variances, 0 for a sample that is left out; values (T, N). W is N or more, so that SIMD code has
+    no remainder; what is beyond N has weight 0. grid (M, P): points to start from, with the
+    amplitudes at any value; basis (M, 2 + amplitudes, W): room for what `grid_basis` makes of them,
+    where the directions are those of all texels that itself; linear: numbers of the amplitudes;
+    status 0 converged, 1 not, 2 no data; bound -1, 0 or 1.
     """
-    n_p, n, n_b = lower.shape[0], values.shape[1], 1 + linear.shape[0]
-    common = basis.shape[0] > 0
-    own = basis if common else np.empty((grid.shape[0], n_b, n))
-    pairs = products if common else np.empty((grid.shape[0], n_b * (n_b + 1) // 2, n))
-    sums, right = np.empty(pairs.shape[:2]), np.empty(own.shape[:2])
-    whole = -1  # samples that `sums` hold where none with a weight is missing
-    first = 1 if common else 0  # of the parts of f: the one without amplitudes may be nothing
-    for m in range(basis.shape[0]):
-        for k in range(n):
-            if basis[m, 0, k] != 0.0:
-                first = 0
-    f, y, iv, wy, work = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    jac = np.empty((n_p, n))
-    score, starts = np.empty(grid.shape[0]), np.empty(grid.shape)
-    p, trial, best, step = np.empty(n_p), np.empty(n_p), np.empty(n_p), np.empty(n_p)
-    g, g_new, h, h_new = np.empty(n_p), np.empty(n_p), np.empty((n_p, n_p)), np.empty((n_p, n_p))
-    root, h_best = np.empty((n_p, n_p)), np.empty((n_p, n_p))
+    n_p, width, n_grid, n_b = lower.shape[0], seen.shape[1], grid.shape[0], basis.shape[1]
+    common = angles.shape[0] == 0
+    w = np.empty((6, width))
+    own_sums, square = np.empty((n_b, n_b, n_grid)), np.empty((n_b, n_b))
+    y, iv, wy, work = np.zeros(width), np.zeros(width), np.zeros(width), np.empty(width)
+    columns, normal = np.empty((1 + n_p, width)), np.empty((1 + n_p, 1 + n_p))
+    basis_rows, rows = np.arange(n_b), np.arange(1 + n_p)
+    score, solved = np.empty(n_grid), np.empty(n_grid, np.bool_)
+    p, trial, best, step, g = (
+        np.empty(n_p), np.empty(n_p), np.empty(n_p), np.empty(n_p), np.empty(n_p),
+    )  # fmt: skip
+    h, root, h_best = np.empty((n_p, n_p)), np.empty((n_p, n_p)), np.empty((n_p, n_p))
     free, state = np.empty(n_p, np.bool_), np.zeros(8)
+    # The same samples with the same weights: the same sums, but for those of the values.
+    alike = common and weight.shape[0] == 1
+    known_sums, same = np.empty((n_b, n_b, n_grid)), np.empty(n_b, np.bool_)
+    if alike:
+        small_fits.alike(basis, same)
+        small_fits.prepare(lit, weight[0], np.zeros(values.shape[1]), y, iv, wy, state)
+        grid_sums(basis, y, iv, basis_rows, work, square, known_sums)
     for t in range(values.shape[0]):
-        x = w[t if w.shape[0] > 1 else 0]
+        if not common:
+            directions(angles[t], w, seen, lit)
         row = weight[t if weight.shape[0] > 1 else 0]
-        count, left_out = small_fits.prepare(x, row, values[t], y, iv, wy, state)
+        count, left_out = small_fits.prepare(lit, row, values[t], y, iv, wy, state)
         used[t] = count
         chi2_out[t] = np.nan
         for j in range(n_p):
@@ -61,24 +69,25 @@ def fit_texels(
         if count <= n_p:
             status[t] = 2
             continue
-        if not common:
-            grid_basis(x, grid, linear, f, jac, own, pairs)
-        # The same samples with the same weights: the same sums.
-        if not (common and weight.shape[0] == 1 and count == whole):
-            small_fits.weighted_sums(pairs, iv, 0, sums)
-            whole = count if left_out == 0 else -1
-        small_fits.weighted_sums(own, wy, first, right)
-        small_fits.amplitudes(
-            grid, sums, right, linear, lower, upper, starts, score, g, step, state
-        )
+        sums = own_sums
+        if alike and left_out == 0:
+            sums = known_sums
+            small_fits.project(basis, same, wy, sums[0])
+        else:
+            if not common:
+                grid_basis(seen, grid, linear, columns, basis)
+            grid_sums(basis, y, iv, basis_rows, work, square, sums)
+        small_fits.scores(sums, score, solved, state)
         for _ in range(FOLLOWED):
-            if not small_fits.start(score, starts, trial, state):
+            if not small_fits.start(
+                grid, sums, linear, lower, upper, score, solved, g, step, trial, state
+            ):
                 break
             found = 0
             while found == 0:
-                _gradient(x, trial, f, jac)
+                _gradient(seen, trial, columns)
                 found = small_fits.advance(
-                    y, iv, f, jac, work, lower, upper, log, p, trial, g, h, g_new, h_new, step,
+                    y, iv, columns, work, lower, upper, log, p, trial, g, h, rows, normal, step,
                     root, free, state,
                 )  # fmt: skip
             if small_fits.keep(found, p, h, lower, upper, best, h_best, state):
@@ -94,28 +103,68 @@ def fit_texels(
         for i in range(linear.shape[0]):
             if small_fits.may_be_none(linear[i], best, lower, stderr[t], bound[t], trial):
                 # The lobe may as well not be there; what shapes it would then mean nothing.
-                _gradient(x, trial, f, jac)
-                small_fits.forget(iv, jac, known[t])
+                _gradient(seen, trial, columns)
+                small_fits.forget(iv, columns, known[t])
         for j in range(n_p):
             p_out[t, j] = best[j]
             if not known[t, j]:
                 stderr[t, j] = np.nan
 
 
-def grid_basis(x, grid, linear, f, jac, basis, products):
+def directions(angles, w, seen, lit):
+    """What the directions with the angles (4, N) say to the model (KEPT, W), and which are lit.
+
+    Their components stand in w (6, W). Pairs at or below the horizon, and what is beyond N, are
+    taken at z = 1.
+    """
+    w[:] = 0.0
+    for k in range(angles.shape[1]):
+        sin_i, z_i = sincos(angles[0, k])
+        sin_r, z_r = sincos(angles[2, k])
+        y_i, x_i = sincos(angles[1, k])
+        y_r, x_r = sincos(angles[3, k])
+        w[0, k] = sin_i * x_i
+        w[1, k] = sin_i * y_i
+        w[2, k] = 0.0 if angles[0, k] == HORIZON else z_i
+        w[3, k] = sin_r * x_r
+        w[4, k] = sin_r * y_r
+        w[5, k] = 0.0 if angles[2, k] == HORIZON else z_r
+    keep_geometry(w[0], w[1], w[2], w[3], w[4], w[5], seen, lit)
+
+
+def grid_basis(seen, grid, linear, columns, basis):
     """What f is made of at every point of the grid: `gonio.kernels.small_fits.split_basis`."""
     for m in range(grid.shape[0]):
-        _gradient(x, grid[m], f, jac)
-        small_fits.split_basis(m, grid, linear, f, jac, basis, products)
+        _gradient(seen, grid[m], columns)
+        small_fits.split_basis(grid, m, linear, columns, basis[m])
 
 
-def _gradient(x, p, f, jac):
-    """f, and its derivative by every parameter (P, N)."""
-    q = unpack(p)
-    for k in range(f.shape[0]):
-        above = x[2, k] > 0.0 and x[5, k] > 0.0
-        a = x[2, k] if above else 1.0
-        b = x[5, k] if above else 1.0
-        both = call(x[0, k], x[1, k], a, x[3, k], x[4, k], b, q)
-        f[k] = both[0] if above else 0.0
-        store(both, above, jac, k)
+def grid_sums(basis, y, iv, rows, work, square, sums):
+    """Weighted products of the values and the rows of the basis at every point of the grid."""
+    for m in range(basis.shape[0]):
+        for k in range(y.shape[0]):
+            basis[m, 0, k] = y[k]
+        square[:] = 0.0
+        small_fits.add_products(basis[m], rows, iv, work, square)
+        small_fits.spread(square, m, sums)
+
+
+def _gradient(seen, p, columns):
+    """f, and its derivative by every parameter, as rows (1 + P, W)."""
+    # What is not lit has weight 0, whatever stands there.
+    kept_gradient(seen, seen[0], True, unpack(p), columns[0], columns[1:])
+
+
+# STAND-INS
+
+
+KEPT = 1
+
+
+def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
+    """Stands for `gonio.kernels.kept.keep_geometry`."""
+    return True
+
+
+def kept_gradient(rows, lit, all_lit, q, out, gradient):
+    """Stands for `gonio.kernels.kept.kept_gradient`."""

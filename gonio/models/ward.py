@@ -39,18 +39,23 @@ def kernel(
     alpha_y: float,
 ) -> tuple[float, float, float, float, float]:
     """f of eq. (5a) and its derivatives by rho_d, rho_s, alpha_x, alpha_y."""
+    a_x = 1 / alpha_x
+    a_y = 1 / alpha_y
+    # One division gives both 1/h_z and 1/sqrt(zi zr); divisions are most of the time.
     h_z = zi + zr
-    u = (xi + xr) / (h_z * alpha_x)
-    v = (yi + yr) / (h_z * alpha_y)
+    root = math.sqrt(zi * zr)
+    both = 1 / (h_z * root)
+    u = (xi + xr) * (both * root) * a_x
+    v = (yi + yr) * (both * root) * a_y
     u2 = u * u
     v2 = v * v
-    lobe = exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
+    lobe = exp(-(u2 + v2)) * (both * h_z) * (a_x * a_y / (4 * math.pi))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,
         lobe,
-        rho_s * lobe * (2 * u2 - 1) / alpha_x,
-        rho_s * lobe * (2 * v2 - 1) / alpha_y,
+        rho_s * lobe * (2 * u2 - 1) * a_x,
+        rho_s * lobe * (2 * v2 - 1) * a_y,
     )
 
 

@@ -41,16 +41,22 @@ def kernel(
     h_y = yi + yr
     h_z = zi + zr
     q = h_x * h_x + h_y * h_y + h_z * h_z
-    scale = 2 / (q + h_z * math.sqrt(q))
-    u2 = scale * h_x * h_x / (alpha_x * alpha_x)
-    v2 = scale * h_y * h_y / (alpha_y * alpha_y)
-    lobe = exp(-(u2 + v2)) / (4 * math.pi * alpha_x * alpha_y * math.sqrt(zi * zr))
+    a_x = 1 / alpha_x
+    a_y = 1 / alpha_y
+    # One division gives both 2/(q + h_z sqrt q) and 1/sqrt(zi zr).
+    size = q + h_z * math.sqrt(q)
+    root = math.sqrt(zi * zr)
+    both = 1 / (size * root)
+    scale = 2 * both * root
+    u2 = scale * h_x * h_x * (a_x * a_x)
+    v2 = scale * h_y * h_y * (a_y * a_y)
+    lobe = exp(-(u2 + v2)) * (both * size) * (a_x * a_y / (4 * math.pi))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,
         lobe,
-        rho_s * lobe * (2 * u2 - 1) / alpha_x,
-        rho_s * lobe * (2 * v2 - 1) / alpha_y,
+        rho_s * lobe * (2 * u2 - 1) * a_x,
+        rho_s * lobe * (2 * v2 - 1) * a_y,
     )
 
 

@@ -37,16 +37,19 @@ def kernel(
     h_x = xi + xr
     h_y = yi + yr
     z2 = (zi + zr) * (zi + zr)
-    u2 = h_x * h_x / (z2 * alpha_x * alpha_x)
-    v2 = h_y * h_y / (z2 * alpha_y * alpha_y)
-    lobe = exp(-(u2 + v2)) / (math.pi * alpha_x * alpha_y)
-    lobe *= (h_x * h_x + h_y * h_y + z2) / (z2 * z2)
+    scale = 1 / z2
+    a_x = 1 / alpha_x
+    a_y = 1 / alpha_y
+    u2 = h_x * h_x * scale * (a_x * a_x)
+    v2 = h_y * h_y * scale * (a_y * a_y)
+    lobe = exp(-(u2 + v2)) * (a_x * a_y / math.pi)
+    lobe *= (h_x * h_x + h_y * h_y + z2) * scale * scale
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,
         lobe,
-        rho_s * lobe * (2 * u2 - 1) / alpha_x,
-        rho_s * lobe * (2 * v2 - 1) / alpha_y,
+        rho_s * lobe * (2 * u2 - 1) * a_x,
+        rho_s * lobe * (2 * v2 - 1) * a_y,
     )
 
 

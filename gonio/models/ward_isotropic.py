@@ -34,16 +34,20 @@ def kernel(
     alpha: float,
 ) -> tuple[float, float, float, float]:
     """f of eq. (4) and its derivatives by rho_d, rho_s, alpha."""
-    scale = 1 / ((zi + zr) * alpha)
-    u = (xi + xr) * scale
-    v = (yi + yr) * scale
+    a = 1 / alpha
+    # One division gives both 1/h_z and 1/sqrt(zi zr).
+    h_z = zi + zr
+    root = math.sqrt(zi * zr)
+    both = 1 / (h_z * root)
+    u = (xi + xr) * (both * root) * a
+    v = (yi + yr) * (both * root) * a
     t2 = u * u + v * v
-    lobe = exp(-t2) / (4 * math.pi * alpha * alpha * math.sqrt(zi * zr))
+    lobe = exp(-t2) * (both * h_z) * (a * a / (4 * math.pi))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,
         lobe,
-        rho_s * lobe * 2 * (t2 - 1) / alpha,
+        rho_s * lobe * 2 * (t2 - 1) * a,
     )
 
 

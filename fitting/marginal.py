@@ -31,6 +31,7 @@ GOOD_K_HAT = 0.0  # and above this
 MIN_ACCEPTANCE = 0.2  # below this the draws are not used
 MAX_K_HAT = 0.5
 MAX_DISAGREEMENT = 4.0  # standard errors between the evidence of the pilot and of the run
+SPREAD_ERROR = 0.03  # of a standard deviation: its standard error, told by the importance weights
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,13 @@ def sample(target: Target, covariance: FloatArray, rng: np.random.Generator) -> 
         drawn = target.draw(seen.x[state.ravel()], seen.sums[state.ravel()], rng)
         drawn = drawn.reshape(*state.shape, -1)
         measures = convergence.measure(drawn)
-        if measures.converged or 2 * len(seen.x) > MAX_PROPOSALS:
-            refusal = "" if measures.converged else "its chains did not converge"
+        error = _spread_error(target, seen, rng)
+        done = measures.converged and error <= SPREAD_ERROR
+        if done or 2 * len(seen.x) > MAX_PROPOSALS:
+            if not measures.converged:
+                refusal = "its chains did not converge"
+            elif not done:
+                refusal = f"a standard deviation rests on few far draws ({100 * error:.0f} %)"
             return MarginalRun(
                 drawn, seen.density[state], measures, acceptance, k, refusal, proposal
             )
@@ -165,6 +171,22 @@ def _acceptance(state: NDArray[np.int64]) -> float:
     """Share of the proposals that a chain moved to."""
     n = state.shape[1]
     return float(np.mean(state == np.arange(state.size).reshape(-1, n)))
+
+
+def _spread_error(target: Target, seen: Weighted, rng: np.random.Generator) -> float:
+    """Largest standard error of a standard deviation, relative to it.
+
+    A thousandth of the mass far away may be most of the variance; it then hangs on few draws,
+    whose weights need not be large.
+    """
+    weight = seen.weight
+    kept = weight > 0
+    weight = weight[kept]
+    p = target.draw(seen.x[kept], seen.sums[kept], rng)
+    square = (p - weight @ p) ** 2
+    variance = weight @ square
+    error = np.sqrt(np.sum((weight[:, None] * (square - variance)) ** 2, axis=0))
+    return float(np.max(error / (2 * variance), initial=0.0, where=variance > 0))
 
 
 def _disagreement(log_weight: FloatArray, other: FloatArray) -> float:

@@ -279,6 +279,45 @@ def test_a_lobe_hardly_above_the_noise_is_sampled_or_refused():
     assert np.max(np.abs(off)) < 0.1
 
 
+def rho_s_marginal(problem, scale, n=70):
+    """sd of rho_s of Ward's model, alpha_x, alpha_y and rho_s summed over a grid."""
+    w_i, w_r = problem.samples.directions.vectors()
+    y, w = problem.samples.value, problem.inverse_variance / scale**2
+    rho_s = np.linspace(0, 1, 301) ** 2
+    rho_s, step = (rho_s[1:] + rho_s[:-1]) / 2, np.diff(rho_s)
+    one = np.full(len(y), 1 / np.pi)
+    q = problem.model.parameter("alpha_x")
+    edges = np.geomspace(q.lower, q.upper, n + 1)
+    alpha = np.sqrt(edges[1:] * edges[:-1])
+    log_p = np.empty((n, n, len(rho_s)))
+    for j, k in np.ndindex(n, n):
+        lobe = problem.model.evaluate(w_i, w_r, np.array([0.0, 1.0, alpha[j], alpha[k]]))
+        rest = y[:, None] - lobe[:, None] * rho_s
+        mean = (w * one) @ rest / (w @ one**2)
+        chi2 = w @ rest**2 - mean**2 * (w @ one**2)
+        inside = stats.norm.logcdf(mean * np.sqrt(w @ one**2))
+        log_p[j, k] = -chi2 / 2 + inside + np.log(alpha[j] * alpha[k])
+    p = np.exp(log_p - log_p.max()).sum(axis=(0, 1)) * step
+    first, second = (p @ rho_s**k / p.sum() for k in (1, 2))
+    return np.sqrt(second - first**2)
+
+
+def test_a_standard_deviation_that_rests_on_few_far_draws_is_not_told():
+    """A thousandth of the probability, at a tenth of the range, may be half of the variance."""
+    drawn_more = 0
+    for seed in (15, 31, 63):
+        truth = {"rho_d": 0.15, "rho_s": [0.01, 0.02, 0.03, 0.05][seed % 4]}
+        truth |= {"alpha_x": 0.1, "alpha_y": 0.2}
+        samples = noisy("ward", truth, n=60, relative=0.4, seed=seed)
+        found, chain = sampled(samples, "ward", seed=seed)
+        assert chain.sampler == "marginal" or chain.note
+        if chain.sampler == "marginal":
+            drawn_more += chain.draws.shape[1] > 640
+            sd = rho_s_marginal(found.problem, found.noise_scale)
+            assert chain.draws[:, :, 1].std() == pytest.approx(sd, rel=0.1)
+    assert drawn_more
+
+
 def test_one_seed_one_posterior_at_any_number_of_threads():
     samples = noisy("ward", WARD, n=9000, relative=0.1)
     (_, one), (_, two), (_, other) = (

@@ -87,6 +87,7 @@ def amplitudes():
 
 """
 _DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")\n'
+_SUMMING = ("prepare", "project", "forget")  # those of `small_fits` that sum over samples
 _DIRECTIONS = ("xi", "yi", "zi", "xr", "yr", "zr")
 
 
@@ -189,12 +190,10 @@ def small_fits(n_parameters: int) -> ModuleType:
     """The compiled functions of `gonio.kernels.small_fits` for models with so many parameters."""
     import numba
 
-    from gonio.kernels.small_fits import SUMS
-
     text = "import math\n\nfrom numba import njit\nfrom gonio.kernels.sums import add_products\n"
     text += _decorated(_body("small_fits"))
     summing = _DECORATOR.replace(")\n", ', fastmath={"reassoc", "contract"})\n')
-    for name in SUMS:
+    for name in _SUMMING:
         text = text.replace(f"{_DECORATOR}def {name}(", f"{summing}def {name}(")
     text = re.sub(r"\bn_p = \w+\.shape\[0\]", f"n_p = {n_parameters}", text)
     sums = Path(__file__).with_name("sums.py").read_text(encoding="utf-8")

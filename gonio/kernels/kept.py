@@ -40,6 +40,9 @@ def kept_gradient(rows, lit, all_lit, q, out, gradient):
 # STAND-INS
 
 
+KEPT = 1  # numbers that are kept of a pair
+
+
 def keep(kept, rows, k):
     """Keep what the directions of pair k say; replaced, one line a number."""
     rows[0, k] = kept[0]
@@ -52,9 +55,9 @@ def geometry(xi, yi, zi, xr, yr, zr):
 
 def shape(rows, k, q):
     """Stands for the second part of a model's kernel: (f, df/dp_0, ...)."""
-    return (q[0] * rows[0, k], rows[0, k])
+    return (q[0], 1.0)
 
 
 def store(both, above, gradient, k):
     """Derivatives of pair k; replaced, one line a parameter."""
-    gradient[0, k] = both[1] if above else 0.0
+    gradient[0, k] = both[1]

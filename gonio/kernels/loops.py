@@ -18,6 +18,9 @@ viewer; `p` is the parameter vector; f is in sr^-1. All is float64; `evaluate` a
 
 import numpy as np
 
+from gonio.kernels.kept import KEPT, keep_geometry, kept_gradient
+from gonio.kernels.sums import add_products, mirror, sum_of_squares
+
 # HEADER ENDS
 
 BLOCK = 256
@@ -246,28 +249,3 @@ def store(both, above, gradient, k):
 def call(xi, yi, zi, xr, yr, zr, q):
     """Stands for a model's kernel: (f, df/dp_0, ...); replaced when the loops are compiled."""
     return (q[0], 1.0)
-
-
-def add_products(columns, rows, weight, work, out):
-    """Stands for `gonio.kernels.sums.add_products`."""
-
-
-def mirror(out):
-    """Stands for `gonio.kernels.sums.mirror`."""
-
-
-def sum_of_squares(value, f, weight):
-    """Stands for `gonio.kernels.sums.sum_of_squares`."""
-    return 0.0
-
-
-KEPT = 1
-
-
-def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
-    """Stands for `gonio.kernels.kept.keep_geometry`."""
-    return True
-
-
-def kept_gradient(rows, lit, all_lit, q, out, gradient):
-    """Stands for `gonio.kernels.kept.kept_gradient`."""

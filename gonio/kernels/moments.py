@@ -14,6 +14,9 @@ A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row.
 
 import numpy as np
 
+from gonio.kernels.kept import KEPT, keep_geometry, kept_gradient
+from gonio.kernels.sums import add_products
+
 # HEADER ENDS
 
 BLOCK = 256
@@ -181,19 +184,3 @@ def store(both, above, gradient, k):
 def call(xi, yi, zi, xr, yr, zr, q):
     """Stands for a model's kernel: (f, df/dp_0, ...); replaced when the loops are compiled."""
     return (q[0], 1.0)
-
-
-def add_products(columns, rows, weight, work, out):
-    """Stands for `gonio.kernels.sums.add_products`."""
-
-
-KEPT = 1
-
-
-def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
-    """Stands for `gonio.kernels.kept.keep_geometry`."""
-    return True
-
-
-def kept_gradient(rows, lit, all_lit, q, out, gradient):
-    """Stands for `gonio.kernels.kept.kept_gradient`."""

@@ -1,19 +1,20 @@
 """The arithmetic of a small fit, whatever the model: what `texels.py` calls between evaluations.
 
 Compiled by `gonio.kernels.build` once for each number of parameters, which `n_p` then is: loops
-over few parameters of known number are written out. Sums over samples (`SUMS`) may be taken in
-any order, so that they become SIMD code. A fit runs by turns: the model is evaluated at `trial`,
-and `advance` says where to evaluate it next, until a minimum is reached. Steps are those of Gauss
-and Newton, damped where they fail (Levenberg-Marquardt), inside the bounds; parameters that `log`
-names move by their logarithm. h = J^T W J, g = J^T W r, with r = y - f.
+over few parameters of known number are written out. Sums over samples may be taken in any order,
+so that they become SIMD code. A fit runs by turns: the model is evaluated at `trial`, and
+`advance` says where to evaluate it next, until a minimum is reached. Steps are those of Gauss and
+Newton, damped where they fail (Levenberg-Marquardt), inside the bounds; parameters that `log` names
+move by their logarithm. h = J^T W J, g = J^T W r, with r = y - f.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
 
 import math
 
+from gonio.kernels.sums import add_products
+
 # HEADER ENDS
 
-SUMS = ("prepare", "project", "forget")
 STEPS = 200  # evaluations, after which a fit is given up
 SWEEPS = 200
 STOP = 3e-2  # a step this small beside the uncertainties is the last; it leaves a tenth of it
@@ -400,10 +401,3 @@ def forget(iv, columns, known):
         for k in range(iv.shape[0]):
             total += iv[k] * columns[1 + j, k] * columns[1 + j, k]
         known[j] = known[j] and total > 0.0
-
-
-# STAND-INS
-
-
-def add_products(columns, rows, weight, work, out):
-    """Stands for `gonio.kernels.sums.add_products`."""

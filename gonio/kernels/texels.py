@@ -13,6 +13,7 @@ import numpy as np
 
 from gonio.kernels import small_fits
 from gonio.kernels.fastmath import sincos
+from gonio.kernels.kept import keep_geometry, kept_gradient
 from gonio.kernels.loops import unpack
 
 # HEADER ENDS
@@ -153,18 +154,3 @@ def _gradient(seen, p, columns):
     """f, and its derivative by every parameter, as rows (1 + P, W)."""
     # What is not lit has weight 0, whatever stands there.
     kept_gradient(seen, seen[0], True, unpack(p), columns[0], columns[1:])
-
-
-# STAND-INS
-
-
-KEPT = 1
-
-
-def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
-    """Stands for `gonio.kernels.kept.keep_geometry`."""
-    return True
-
-
-def kept_gradient(rows, lit, all_lit, q, out, gradient):
-    """Stands for `gonio.kernels.kept.kept_gradient`."""

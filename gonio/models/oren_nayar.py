@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 
-from gonio.kernels.fastmath import arcvers
+from gonio.kernels.fastmath import acos
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.sampling import Cosine
 
@@ -32,19 +32,15 @@ def kernel(
     """f of eqs (14)-(16) and its derivatives by rho and sigma."""
     sin_i = math.sqrt(xi * xi + yi * yi)
     sin_r = math.sqrt(xr * xr + yr * yr)
-    alpha = arcvers(max(1 - min(zi, zr), 0))
-    beta = arcvers(max(1 - max(zi, zr), 0))
+    alpha = acos(min(zi, zr))
+    beta = acos(max(zi, zr))
     sin_alpha = max(sin_i, sin_r)
-    # At normal incidence or view beta = 0: every term that holds cos(dphi) is 0 whatever it is.
-    sines = sin_i * sin_r if sin_i * sin_r > 1e-30 else 1
-    # The reciprocals of three numbers by one division; divisions are most of the time.
-    high = max(zi, zr)
-    total = zi + zr
-    every = 1 / (high * total * sines)
-    tan_beta = min(sin_i, sin_r) * (every * total * sines)
+    tan_beta = min(sin_i, sin_r) / max(zi, zr)
     # tan((alpha + beta)/2) = (sin alpha + sin beta)/(cos alpha + cos beta)
-    tan_mean = (sin_i + sin_r) * (every * high * sines)
-    cos_dphi = (xi * xr + yi * yr) * (every * high * total)
+    tan_mean = (sin_i + sin_r) / (zi + zr)
+    # At normal incidence or view beta = 0: every term that holds cos(dphi) is 0 whatever it is.
+    both = sin_i * sin_r
+    cos_dphi = (xi * xr + yi * yr) / (both if both > 0 else 1)
     b = 2 / math.pi * beta
     c3 = 2 / math.pi * alpha * b
     sloped = sin_alpha - (b * b * b if cos_dphi < 0 else 0)

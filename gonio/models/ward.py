@@ -41,15 +41,12 @@ def kernel(
     """f of eq. (5a) and its derivatives by rho_d, rho_s, alpha_x, alpha_y."""
     a_x = 1 / alpha_x
     a_y = 1 / alpha_y
-    # One division gives both 1/h_z and 1/sqrt(zi zr); divisions are most of the time.
-    h_z = zi + zr
-    root = math.sqrt(zi * zr)
-    both = 1 / (h_z * root)
-    u = (xi + xr) * (both * root) * a_x
-    v = (yi + yr) * (both * root) * a_y
+    scale = 1 / (zi + zr)
+    u = (xi + xr) * scale * a_x
+    v = (yi + yr) * scale * a_y
     u2 = u * u
     v2 = v * v
-    lobe = exp(-(u2 + v2)) * (both * h_z) * (a_x * a_y / (4 * math.pi))
+    lobe = exp(-(u2 + v2)) * (a_x * a_y / (4 * math.pi)) * (1 / math.sqrt(zi * zr))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,

@@ -43,14 +43,10 @@ def kernel(
     q = h_x * h_x + h_y * h_y + h_z * h_z
     a_x = 1 / alpha_x
     a_y = 1 / alpha_y
-    # One division gives both 2/(q + h_z sqrt q) and 1/sqrt(zi zr).
-    size = q + h_z * math.sqrt(q)
-    root = math.sqrt(zi * zr)
-    both = 1 / (size * root)
-    scale = 2 * both * root
+    scale = 2 / (q + h_z * math.sqrt(q))
     u2 = scale * h_x * h_x * (a_x * a_x)
     v2 = scale * h_y * h_y * (a_y * a_y)
-    lobe = exp(-(u2 + v2)) * (both * size) * (a_x * a_y / (4 * math.pi))
+    lobe = exp(-(u2 + v2)) * (a_x * a_y / (4 * math.pi)) * (1 / math.sqrt(zi * zr))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,

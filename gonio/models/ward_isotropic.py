@@ -35,14 +35,11 @@ def kernel(
 ) -> tuple[float, float, float, float]:
     """f of eq. (4) and its derivatives by rho_d, rho_s, alpha."""
     a = 1 / alpha
-    # One division gives both 1/h_z and 1/sqrt(zi zr).
-    h_z = zi + zr
-    root = math.sqrt(zi * zr)
-    both = 1 / (h_z * root)
-    u = (xi + xr) * (both * root) * a
-    v = (yi + yr) * (both * root) * a
-    t2 = u * u + v * v
-    lobe = exp(-t2) * (both * h_z) * (a * a / (4 * math.pi))
+    scale = 1 / (zi + zr)
+    u = (xi + xr) * scale
+    v = (yi + yr) * scale
+    t2 = (u * u + v * v) * (a * a)
+    lobe = exp(-t2) * (a * a / (4 * math.pi)) * (1 / math.sqrt(zi * zr))
     return (
         rho_d / math.pi + rho_s * lobe,
         1 / math.pi,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy import stats
@@ -33,11 +33,16 @@ from gonio.models import Model, Parameter
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
 
+if TYPE_CHECKING:  # emcee is slow to import
+    from gonio.fitting.posterior import Chain, Sampler
+
 MISFIT = 1.5  # chi2/dof above which the model, not the noise, decides the residuals
 LEVELS = (0.6826895, 0.95)  # of the intervals
 ROUNDING = 1e-13  # of the root mean square of the data: residuals that are rounding
 NEAR_BOUND = 2  # half-widths of an interval within which a bound is asked for by itself
 ALIKE = 3  # warnings that parts of a joint fit give alike, told one by one
+RESTARTS = 2  # times that a posterior may lead to a deeper minimum
+NO_DEEPER = 1e-3  # of the noise squared: as deep, but for rounding
 SCALE_ROUNDS = 8  # in which a robust scale of the noise settles
 CHI2_95 = 3.841459  # 95 % quantile of chi-squared with one degree of freedom
 
@@ -152,6 +157,9 @@ def fit(
         options |= {"engine": searched_by, "loss": loss}
     found = _minimum(samples, chosen, share, **options)
     found = _learnt(found, shared_errors.chosen(found.problem.samples, nuisance))
+    chain = None
+    if posterior:
+        found, chain = _sampled(found, priors, seed=seed, sampler=sampler, progress=progress)
     problem, optimum, doubts = found.problem, found.optimum, found.doubts
     chi2, dof, scale = found.chi2, found.dof, found.noise_scale
     errors, undetected = uncertainties(problem, optimum, scale)
@@ -166,19 +174,7 @@ def fit(
         told = shared_errors.estimates(problem, optimum)
         warnings += shared_errors.pull_warnings(told)
     summary = None
-    if posterior:
-        from gonio.fitting import posterior as posteriors
-
-        if scale == 0:
-            raise DataError(
-                "the model leaves no residuals and the samples state no uncertainty: there is no "
-                "noise to sample a posterior with; give u_brdf or fit without a posterior."
-            )
-
-        believed = resolve(problem.parameters, priors)
-        chain = posteriors.sample(
-            problem, optimum, errors, seed=seed, sampler=sampler, priors=believed, progress=progress
-        )
+    if chain is not None:
         summary = chain.summary(problem.parameters, None if draws is None else str(draws))
         estimates = _with_quantiles(problem.parameters, estimates, chain.draws)
         if draws is not None:
@@ -223,6 +219,65 @@ def fit(
         loss=loss,
         **provenance(problem.samples),
     )
+
+
+def _sampled(
+    found: Minimum,
+    priors: Mapping[str, str | Prior] | None,
+    *,
+    seed: int,
+    sampler: Sampler,
+    progress: Progress | None,
+) -> tuple[Minimum, Chain]:
+    """The posterior, and the minimum where its draws led to a deeper one.
+
+    Raises
+    ------
+    DataError
+        Where there is no noise.
+    """
+    from gonio.fitting import posterior as posteriors
+
+    if found.noise_scale == 0:
+        raise DataError(
+            "the model leaves no residuals and the samples state no uncertainty: there is no "
+            "noise to sample a posterior with; give u_brdf or fit without a posterior."
+        )
+    believed = resolve(found.problem.parameters, priors)
+    for _ in range(RESTARTS + 1):
+        errors, _ = uncertainties(found.problem, found.optimum, found.noise_scale)
+        chain = posteriors.sample(
+            found.problem, found.optimum, errors, seed=seed, sampler=sampler, priors=believed,
+            progress=progress,
+        )  # fmt: skip
+        deeper = _deeper_by_draws(found, chain)
+        if deeper is None:
+            break
+        found = deeper
+        if not deeper.optimum.verified:
+            break
+    return found, chain
+
+
+def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
+    """The minimum below the best draw where it is deeper; unverified where it cannot be taken."""
+    best = chain.draws.reshape(-1, chain.draws.shape[-1])[int(np.argmax(chain.log_density))]
+    problem, optimum = found.problem, found.optimum
+    other = optimise.minimise(problem, best, search=False)
+    if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * found.noise_scale**2:
+        return None
+    if type(problem) is not Problem:
+        told = "the posterior holds a deeper minimum, which the search did not find."
+        return replace(
+            found, optimum=replace(optimum, verified=False), doubts=[*found.doubts, told]
+        )
+    problem, other = _settled(problem, other)
+    told = (
+        f"the search found a minimum at {_place(problem, optimum)}; the posterior led to a deeper "
+        "one, which was taken."
+    )
+    faults = optimise.gradient_faults(problem, other.p)
+    return Minimum(problem, other, [told], faults, *goodness(problem, other))
 
 
 def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -> None:

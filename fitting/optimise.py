@@ -17,7 +17,9 @@ from gonio.kernels import boxed
 from gonio.kernels.boxed import next_point
 
 UNDETERMINED: float = boxed.UNDETERMINED  # smallest part of the curvature that is information
-STARTS = 2  # starting values that are followed to their minimum
+STARTS = 2  # starting values that are followed to their minimum,
+MANY_STARTS = 8  # and where more than two parameters are nonlinear: chi2 then has more than one
+FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples
 FIRST = 4000  # samples on which a start is followed before all are used
 POLISH_STEPS = 300
 STOP = 1e-5  # the polish ends where its next step is this part of the uncertainty
@@ -65,8 +67,11 @@ class Optimum:
     limited: tuple[int, ...] = ()
 
 
-def starts(problem: Problem, n: int = STARTS) -> list[FloatArray]:
+def starts(problem: Problem, n: int | None = None) -> list[FloatArray]:
     """The best n starting values, for which the data are searched (`scan.candidates`)."""
+    if n is None:
+        nonlinear = sum(not q.linear and q.lower < q.upper for q in problem.parameters)
+        n = STARTS if nonlinear <= 2 else MANY_STARTS
     return scan.candidates(problem, n)
 
 
@@ -123,6 +128,8 @@ def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
     for end in ends:
         evaluations += end.evaluations
         if any(_same_place(first, other, end) for other in kept):
+            continue
+        if first is not problem and kept and end.chi2 > FAR * kept[0].chi2:
             continue
         kept.append(end)
         found.append(_polish(problem, end.p if end.problem is not problem else end, evaluations))

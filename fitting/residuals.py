@@ -161,10 +161,10 @@ class ResidualReport:
         if not self.tests:
             return "residuals: none beyond rounding, or too few samples to look for structure"
         if not self.structured:
-            return f"residuals: no structure beyond noise (p = {_p(self.p_structure)})"
+            return f"residuals: no structure beyond noise ({_p(self.p_structure)})"
         covered = ", smaller than the stated shared errors" if self.covered else ""
         return (
-            f"residuals: structure beyond noise (p = {_p(self.p_structure)}), "
+            f"residuals: structure beyond noise ({_p(self.p_structure)}), "
             f"{100 * self.model_share:.0f} % of their variance{covered}"
         )
 
@@ -179,7 +179,7 @@ class ResidualReport:
                 cause = "the model does not hold everywhere: its error makes"
             told.append(
                 f"{cause} {100 * self.model_share:.0f} % of the residual variance (structure of "
-                f"the residuals, p = {_p(self.p_structure)})"
+                f"the residuals, {_p(self.p_structure)})"
                 + (f"; it is {where}" if where else "")
                 + ". The stated uncertainties hold only for the best-fitting surface of this "
                 "family of models."
@@ -189,7 +189,7 @@ class ResidualReport:
             assert self.dof
             told.append(
                 f"chi2/dof is {self.chi2 / self.dof:.3g}, too small for the stated noise "
-                f"(p = {_p(self.p_chi2 or 0.0)}): u_brdf is too large, or the samples were "
+                f"({_p(self.p_chi2 or 0.0)}): u_brdf is too large, or the samples were "
                 "smoothed or are not independent."
             )
         elif self.verdict == "too large" and not self.structured:
@@ -197,7 +197,7 @@ class ResidualReport:
             assert self.dof
             told.append(
                 f"chi2/dof is {self.chi2 / self.dof:.3g}, too large for the stated noise "
-                f"(p = {_p(self.p_chi2 or 0.0)}), and the residuals have no structure: u_brdf is "
+                f"({_p(self.p_chi2 or 0.0)}), and the residuals have no structure: u_brdf is "
                 "probably too small."
             )
         return told
@@ -630,4 +630,4 @@ def _said(place: Place) -> str:
 
 
 def _p(p: float) -> str:
-    return f"{p:.2g}" if p >= 1e-6 else "below 1e-6"
+    return f"p = {p:.2g}" if p >= 1e-6 else "p < 1e-6"

@@ -77,7 +77,7 @@ def _show(report: dict[str, Any], source: Path) -> None:
     columns = ("u/f, %", "", "") if at else ("median", "5 %", "95 %")
     click.echo()
     if not at:
-        click.echo(f"{'':<45}u/f in % over the samples")
+        click.echo(f"{'':<49}u/f in % over the samples")
     click.echo(_line("source", "type", "shared by", "acts", columns, "share"))
     for row in report["sources"]:
         share = row["share_of_variance"]
@@ -101,8 +101,8 @@ def _show(report: dict[str, Any], source: Path) -> None:
 
 
 def _line(name: str, kind: str, shared: str, acts: str, columns: Any, share: str) -> str:
-    numbers = "".join(f"{text:>9}" for text in columns)
-    return f"{name:<22}{kind:<5}{shared:<10} {acts:<7}{numbers}{share:>8}".rstrip()
+    numbers = "".join(f"{text:>8}" for text in columns)
+    return f"{name:<27}{kind:<5}{shared:<10}{acts:<7}{numbers}{share:>7}".rstrip()
 
 
 def _what(report: dict[str, Any]) -> str:

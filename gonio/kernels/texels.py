@@ -15,6 +15,7 @@ from gonio.kernels import small_fits
 from gonio.kernels.fastmath import sincos
 from gonio.kernels.kept import keep_geometry, kept_gradient
 from gonio.kernels.loops import unpack
+from gonio.kernels.sums import add_products
 
 # HEADER ENDS
 
@@ -146,7 +147,7 @@ def grid_sums(basis, y, iv, rows, work, square, sums):
         for k in range(y.shape[0]):
             basis[m, 0, k] = y[k]
         square[:] = 0.0
-        small_fits.add_products(basis[m], rows, iv, work, square)
+        add_products(basis[m], rows, iv, work, square)
         small_fits.spread(square, m, sums)
 
 

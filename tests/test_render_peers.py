@@ -134,6 +134,56 @@ def test_the_cylinder_of_the_vase(mitsuba, name, theta_i):
     )
 
 
+def turned_mesh(pieces, path, rings=24, around=720) -> None:
+    """The surface of revolution about y as flat quadrilaterals, in a PLY file."""
+    heights = np.concatenate([np.linspace(k.low, k.high, rings + 1) for k in pieces])
+    radii = np.sqrt(np.concatenate([k.a + k.b * z + k.c * z * z for k, z in
+                    ((k, np.linspace(k.low, k.high, rings + 1)) for k in pieces)]))  # fmt: skip
+    phi = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    z, turn = np.meshgrid(heights, phi, indexing="ij")
+    r = np.broadcast_to(radii[:, None], z.shape)
+    points = np.stack([r * np.sin(turn), z, r * np.cos(turn)], axis=-1).reshape(-1, 3)
+    low = np.arange(len(heights) - 1)[:, None] * around + np.arange(around)
+    right = low - np.arange(around) + (np.arange(around) + 1) % around
+    first = np.stack([low, right, right + around], axis=-1).reshape(-1, 3)
+    second = np.stack([low, right + around, low + around], axis=-1).reshape(-1, 3)
+    faces = np.concatenate([first, second])
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    lines += [f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in points]
+    lines += [f"3 {a} {b} {c}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("name", ["lambert", "oren_nayar"])
+@pytest.mark.parametrize("theta_i", [0.0, 20 * DEG])
+def test_the_whole_vase(mitsuba, name, theta_i, tmp_path):
+    vase = scene("vase")
+    pieces = vase.shapes[0].pieces
+    turned_mesh(pieces, tmp_path / "vase.ply")
+    shape = {
+        "type": "ply", "filename": str(tmp_path / "vase.ply"), "face_normals": True,
+        "bsdf": {"type": "gonio", "model": name},
+    }  # fmt: skip
+    theirs = traced(mitsuba, {"shape": shape, "lamp": sun(theta_i, 0.0)}, 2.0, [0, 0, 1])
+    made = Scene("vase", "", vase.shapes, (4.0, 4.0))
+    ours = render(made, Directional(theta_i, 0.0), name, SURFACES[name], size=(SIZE, SIZE),
+                  samples=16)  # fmt: skip
+    x, y = middles(2.0)
+    inside = np.zeros(x.shape, bool)
+    pixel = 4.0 / SIZE
+    for k in pieces:
+        # Whole pixels of a piece, away from the silhouette and from where the light ends.
+        z = np.clip(y, k.low, k.high)
+        r = np.sqrt(k.a + k.b * z + k.c * z * z)
+        within = (y - pixel / 2 > k.low) & (y + pixel / 2 < k.high) & (np.abs(x) < 0.85 * r)
+        lit = np.cos(np.arcsin(np.clip(x / r, -1, 1)) - theta_i) > 0.25
+        inside |= within & lit
+    assert np.count_nonzero(inside) > 200
+    compare(ours, theirs, inside)
+
+
 def compare(ours, theirs, inside) -> None:
     """Pixels differ by where in them the rays pass, their mean does not."""
     difference = ours[inside] / theirs[inside] - 1

@@ -12,7 +12,7 @@ from benchmarks.timing import Row
 from gonio import models
 from gonio.fitting import posterior
 from gonio.fitting.convergence import autocorrelation_time
-from gonio.fitting.least_squares import Minimum, find_minimum, uncertainties
+from gonio.fitting.minimum import Minimum, find_minimum, uncertainties
 from gonio.geometry import Directions, FloatArray
 from gonio.samples import BRDFSamples
 

@@ -13,13 +13,8 @@ import numpy as np
 from gonio.errors import ConfigurationError, DataError
 from gonio.files import write_text
 from gonio.fitting import criteria, optimise
-from gonio.fitting.least_squares import (
-    MISFIT,
-    Minimum,
-    find_minimum,
-    provenance,
-    uncertainties,
-)
+from gonio.fitting.least_squares import provenance
+from gonio.fitting.minimum import MISFIT, Minimum, find_minimum, uncertainties
 from gonio.fitting.problem import Weights
 from gonio.fitting.uncertainty import Uncertainty
 from gonio.geometry import FloatArray

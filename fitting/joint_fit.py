@@ -11,9 +11,9 @@ import numpy as np
 from scipy import stats
 
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting import least_squares, optimise, uncertainty
+from gonio.fitting import optimise, uncertainty
 from gonio.fitting.joint import Channel, JointProblem, Source, base_name, split
-from gonio.fitting.least_squares import MISFIT, Minimum, find_minimum
+from gonio.fitting.minimum import MISFIT, Minimum, find_minimum, goodness, rival, without_spikes
 from gonio.fitting.optimise import Optimum
 from gonio.fitting.problem import Problem, Weights
 from gonio.fitting.result import PartFit, Sharing
@@ -82,7 +82,7 @@ def find_joint_minimum(
         for k, (part, _, place) in enumerate(problem.pieces())
         for name in optimise.gradient_faults(part, optimum.p[place])
     ]
-    _, dof, scale = least_squares.goodness(problem, optimum)
+    _, dof, scale = goodness(problem, optimum)
     test, apart = _tested(problem, optimum, alone, channels)
     parts = _parts(problem, optimum, apart, channels, scale)
     told = _misfits(problem, parts) + _refusal(problem, optimum, parts, test)
@@ -155,12 +155,12 @@ def _find(
         other = optimise.minimise(problem, candidate, search=False)
         deepest = optimise.better(optimum, other)
         if deepest is optimum:
-            doubts += least_squares.rival(problem, optimum, other)
+            doubts += rival(problem, optimum, other)
         else:
-            doubts = least_squares.rival(problem, other, optimum)
+            doubts = rival(problem, other, optimum)
             problem, optimum = _settled(problem, other)
     if not optimum.verified:
-        optimum, told = least_squares.without_spikes(problem, optimum)
+        optimum, told = without_spikes(problem, optimum)
         doubts = told or doubts
     return problem, optimum, doubts
 

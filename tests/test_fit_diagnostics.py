@@ -10,7 +10,7 @@ import pytest
 import gonio
 from gonio import models
 from gonio.fitting import identify, mending, residuals
-from gonio.fitting.least_squares import find_minimum
+from gonio.fitting.minimum import find_minimum
 from gonio.fitting.optimise import minimise
 from gonio.fitting.problem import Problem
 from gonio.fitting.shared import information

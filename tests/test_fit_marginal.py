@@ -13,7 +13,7 @@ from gonio import models
 from gonio.errors import ConfigurationError
 from gonio.fitting import marginal, posterior, predictive, truncated
 from gonio.fitting import target as targets
-from gonio.fitting.least_squares import find_minimum, uncertainties
+from gonio.fitting.minimum import find_minimum, uncertainties
 from gonio.fitting.priors import Prior
 from gonio.fitting.problem import Problem
 from gonio.fitting.proposal import SHARES, Proposal, pilot

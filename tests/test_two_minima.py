@@ -6,7 +6,7 @@ import pytest
 import gonio
 from gonio import models
 from gonio.fitting import optimise
-from gonio.fitting.least_squares import find_minimum
+from gonio.fitting.minimum import find_minimum
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 

@@ -44,6 +44,16 @@ def corners(model: Model) -> list[np.ndarray]:
 
 
 @every_model
+def test_f_and_its_derivatives_are_numbers_along_the_normal(name):
+    # Loops put the normal where a direction is below the horizon, with weight 0.
+    model = models.get(name)
+    normal = np.array([[0.0, 0.0, 1.0]])
+    f, jac = model.gradient(normal, normal, np.array([q.default for q in model.parameters]))
+    assert np.isfinite(f).all()
+    assert np.isfinite(jac).all()
+
+
+@every_model
 def test_swapping_light_and_viewer_changes_nothing(name):
     model, rng = models.get(name), np.random.default_rng(1)
     if not model.claims.reciprocal:

@@ -117,7 +117,7 @@ def directions(angles, w, seen, lit):
     """What the directions with the angles (4, N) say to the model (KEPT, W), and which are lit.
 
     Their components stand in w (6, W). Pairs at or below the horizon, and what is beyond N, are
-    taken at z = 1.
+    replaced by the normal: they have weight 0, but f must be a number there.
     """
     w[:] = 0.0
     for k in range(angles.shape[1]):
@@ -125,12 +125,13 @@ def directions(angles, w, seen, lit):
         sin_r, z_r = sincos(angles[2, k])
         y_i, x_i = sincos(angles[1, k])
         y_r, x_r = sincos(angles[3, k])
-        w[0, k] = sin_i * x_i
-        w[1, k] = sin_i * y_i
-        w[2, k] = 0.0 if angles[0, k] == HORIZON else z_i
-        w[3, k] = sin_r * x_r
-        w[4, k] = sin_r * y_r
-        w[5, k] = 0.0 if angles[2, k] == HORIZON else z_r
+        above = z_i > 0.0 and z_r > 0.0 and angles[0, k] != HORIZON and angles[2, k] != HORIZON
+        w[0, k] = sin_i * x_i if above else 0.0
+        w[1, k] = sin_i * y_i if above else 0.0
+        w[2, k] = z_i if above else 0.0
+        w[3, k] = sin_r * x_r if above else 0.0
+        w[4, k] = sin_r * y_r if above else 0.0
+        w[5, k] = z_r if above else 0.0
     keep_geometry(w[0], w[1], w[2], w[3], w[4], w[5], seen, lit)
 
 

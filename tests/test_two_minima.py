@@ -5,7 +5,7 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.fitting import optimise
+from gonio.fitting import optimise, posterior
 from gonio.fitting.minimum import find_minimum
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
@@ -39,6 +39,8 @@ def test_the_deeper_of_two_minima_is_found():
 
 def test_a_deeper_minimum_among_the_draws_is_taken(monkeypatch):
     monkeypatch.setattr(optimise, "starts", lambda problem, n=None: [ELSEWHERE])
+    long = posterior.sample
+    monkeypatch.setattr(posterior, "sample", lambda *a, **k: long(*a, **k, max_steps=1000))
     samples = glossy_metal()
     assert gonio.fit(samples, model="ggx").chi2 > 7000
     found = gonio.fit(samples, model="ggx", posterior=True, seed=1)

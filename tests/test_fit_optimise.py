@@ -48,17 +48,18 @@ def random_start(model, rng):
     return start
 
 
-# From some starts ggx ends in a second minimum, with another refractive index.
+# A start alone may lead ggx to a second minimum, with another refractive index; a fit does not stay
+# there, which the test after this one counts.
 SECOND_MINIMA = {"ggx"}
 
 
 @pytest.mark.parametrize("name", [name for name in models.names() if name not in SECOND_MINIMA])
 def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
     model = models.get(name)
-    costly = model.costly  # a thousand times slower than a closed formula
-    problem = Problem.from_samples(noisy(name, n=40 if costly else 1000), model, threads=1)
+    # Some are a thousand times slower than a closed formula.
+    problem = Problem.from_samples(noisy(name, n=40 if model.costly else 1000), model, threads=1)
     rng = np.random.default_rng(2)
-    some = [model.vector(random_start(model, rng)) for _ in range(3 if costly else 50)]
+    some = [model.vector(random_start(model, rng)) for _ in range(50)]
     ends = [optimise.minimise(problem, start) for start in some]
     assert all(end.verified for end in ends)
     chi2 = np.array([end.chi2 for end in ends])
@@ -72,14 +73,15 @@ def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
     assert np.all(np.ptp([end.p[determined] for end in ends], axis=0) < 1e-3 * sd)
 
 
-def test_a_start_that_leads_to_a_second_minimum_is_told_of():
+def test_fifty_fits_of_fifty_end_in_the_deeper_minimum_and_tell_of_the_other():
     model = models.get("ggx")
     samples = noisy("ggx", n=1000)
     free = gonio.fit(samples, model="ggx")
     rng = np.random.default_rng(2)
     told = 0
-    for _ in range(6):
+    for _ in range(50):
         given = gonio.fit(samples, model="ggx", start=random_start(model, rng))
+        assert given.status == "converged"
         assert given.chi2 == pytest.approx(free.chi2, rel=1e-9)
         told += any(text.startswith("the start led to another minimum, at rho_d = ")
                     for text in given.warnings)  # fmt: skip

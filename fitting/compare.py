@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.files import write_text
 from gonio.fitting import criteria, optimise
 from gonio.fitting.least_squares import provenance
 from gonio.fitting.minimum import MISFIT, Minimum, find_minimum, uncertainties
+from gonio.fitting.optimise import Optimum
 from gonio.fitting.problem import Weights
 from gonio.fitting.uncertainty import Uncertainty
 from gonio.geometry import FloatArray
@@ -72,7 +74,7 @@ class Entry:
     values : mapping of str to float
         Fitted parameters in the unit of files.
     at_bound, undetermined : tuple of str
-        Parameters on a bound, and free ones about which the data say nothing.
+        Parameters on a bound, or in a sum that is, and others about which the data say nothing.
     priors : mapping of str to tuple of float
         Bounds between which the prior of the evidence is flat, in the unit of files.
     held_out : Score or None
@@ -340,8 +342,8 @@ def _judged(
         chi2=minimum.chi2,
         dof=minimum.dof,
         values={q.name: q.to_file(float(v)) for q, v in zip(parameters, optimum.p, strict=True)},
-        at_bound=_names(minimum, ~optimum.free),
-        undetermined=_names(minimum, optimum.free & ~errors.determined),
+        at_bound=_names(minimum, _held(optimum)),
+        undetermined=_names(minimum, ~_held(optimum) & ~errors.determined),
         priors={q.name: (q.to_file(q.lower), q.to_file(q.upper)) for q in parameters},
         held_out=None,
         held_out_by_group=None if by_group is None else tuple(map(float, by_group)),
@@ -402,6 +404,13 @@ def _leave_one_out(
     return by_sample, worst if np.isfinite(worst) else None
 
 
+def _held(optimum: Optimum) -> NDArray[np.bool_]:
+    """Parameters on a bound, and those whose sum is at its limit."""
+    held = ~optimum.free
+    held[list(optimum.limited)] = True
+    return held
+
+
 def _evidence(
     minimum: Minimum, errors: Uncertainty, draws: criteria.Draws, notes: list[str]
 ) -> tuple[float, float] | None:
@@ -410,8 +419,8 @@ def _evidence(
     reason = None
     if minimum.status != "converged" or not minimum.optimum.verified:
         reason = "the fit did not converge"
-    elif not minimum.optimum.free.all():
-        reason = f"at a bound: {', '.join(_names(minimum, ~minimum.optimum.free))}"
+    elif _held(minimum.optimum).any():
+        reason = f"at a bound: {', '.join(_names(minimum, _held(minimum.optimum)))}"
     elif not errors.determined.all():
         reason = f"not determined: {', '.join(_names(minimum, ~errors.determined))}"
     elif minimum.doubts:

@@ -195,6 +195,17 @@ def test_a_degenerate_sum_predicts_as_its_one_known_direction(matt):
     assert "no evidence: not determined: rho_1, rho_2." in double.notes
 
 
+def test_a_sum_at_its_limit_is_at_a_bound(matt):
+    p = {"rho_d": 0.7, "rho_s": 0.6, "alpha_x": 0.2, "alpha_y": 0.3}  # more than there is
+    f = models.get("ward_gmd")(matt.directions, **p)
+    noise = 0.01 * f * np.random.default_rng(1).standard_normal(len(f))
+    found = compare(replace(matt, value=f + noise, u_independent=0.01 * f), ["ward_gmd", "lambert"])
+    entry = found.entry("ward_gmd")
+    assert entry.at_bound == ("rho_d", "rho_s")
+    assert entry.undetermined == ()
+    assert "no evidence: at a bound: rho_d, rho_s." in entry.notes
+
+
 # ---------------------------------------------------------------- what is not known is None
 
 

@@ -54,9 +54,9 @@ with nb.scratch() as folder:
 # %% [markdown]
 # ## Metals
 #
-# Narrow, strong lobes, drawn out across the grooves. On `lbl1992` the two alphas come out low
-# together: eq. (3) is applied to a sphere, where it is an approximation, and stretches the
-# picture. rho_s moves with the standard, of which Ward could not know that it is off.
+# Narrow, strong lobes, drawn out across the grooves. On `lbl1992` eq. (3) is applied to a sphere,
+# where it is an approximation; what that does to alpha, a per cent or so, is within the intervals.
+# rho_d and rho_s move with the standard, of which Ward could not know that it is off.
 
 # %% tags=["hide-input"]
 fig = family([one for one in found if one.material in FAMILIES["metals"]], "Metals")

@@ -45,8 +45,9 @@ with nb.scratch() as folder:
 # %% [markdown]
 # ## Semi-gloss
 #
-# rho_s is a tenth of rho_d: the lobe of the widest of these (wood, alpha_y 0.26) stands little
-# above the floor, and its uncertainty is the largest.
+# rho_s is a tenth of rho_d, and the lobe of the widest of these (wood, alpha_y 0.26) stands little
+# above the floor. Its uncertainty is no larger for that: what all samples share, the standard
+# first, is most of it, and the same for all.
 
 # %% tags=["hide-input"]
 nb.figure(

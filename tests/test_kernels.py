@@ -121,7 +121,7 @@ class TestLoops:
 class TestSums:
     @pytest.mark.parametrize("n_rows", range(1, 10))
     def test_products_are_those_of_the_matrix_and_are_added(self, n_rows):
-        from gonio.kernels.sums import add_products
+        from gonio.kernels.sums import add_products, products
 
         rng = np.random.default_rng(n_rows)
         columns, weight = rng.standard_normal((12, 100)), rng.uniform(0, 2, 100)
@@ -130,6 +130,10 @@ class TestSums:
         add_products(columns, rows, weight, np.empty(100), out)
         expected = 3 + np.tril((columns[rows] * weight) @ columns[rows].T)
         np.testing.assert_allclose(np.tril(out), np.tril(expected), rtol=1e-12, atol=1e-12)
+        if n_rows in products:
+            out = np.full((n_rows, n_rows), 3.0)
+            products[n_rows](columns, rows, weight, out)
+            np.testing.assert_allclose(np.tril(out), np.tril(expected), rtol=1e-12, atol=1e-12)
 
     @pytest.mark.parametrize("name", ["ward", "oren_nayar", "eon", "lambert+ward_isotropic"])
     def test_moments_are_chi_squared_for_all_amplitudes(self, name):

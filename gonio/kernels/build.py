@@ -37,7 +37,7 @@ from {module} import {name} as source
 from gonio.kernels.build import compiled
 from gonio.kernels.intrinsics import align_stack
 from gonio.kernels.split import split
-from gonio.kernels.sums import add_products, mirror, sum_of_squares
+from gonio.kernels.sums import mirror, sum_of_squares
 
 _float32 = np.float32
 kernel = compiled(source, single={single})
@@ -153,7 +153,7 @@ def moment_loops_for(
         f"    gradient[{k}, k] = both[{j + 1}] if above else 0.0" for k, j in enumerate(linear)
     ]
     text = _header(kernel, n_parameters, stores or ["    pass"]) + _AMPLITUDES.format(len(linear))
-    text += _kept(kernel, n_parameters) + _decorated(_body("moments"))
+    text += _kept(kernel, n_parameters) + _dispatch(1 + len(linear)) + _decorated(_body("moments"))
     prefix = kernel.__module__.replace(".", "_") + "_moments"
     module = generated_module(prefix, text, _ingredients(kernel))
     return MomentLoops(**{name: getattr(module, name) for name in MomentLoops.__dataclass_fields__})
@@ -179,7 +179,8 @@ def texel_loops_for(kernel: Callable[..., Any], n_parameters: int) -> TexelLoops
     text += "from gonio.kernels.build import small_fits\n"
     text += "from gonio.kernels.fastmath import sincos\n\n"
     text += f"small_fits, sincos = small_fits({n_parameters}), compiled(sincos)\n"
-    text += _kept(kernel, n_parameters) + _decorated(_body("texels"))
+    # The values, the part without amplitudes, and as many amplitudes as models have.
+    text += _kept(kernel, n_parameters) + _dispatch(2, 3, 4) + _decorated(_body("texels"))
     prefix = kernel.__module__.replace(".", "_") + "_texels"
     module = generated_module(prefix, text, _ingredients(kernel))
     return TexelLoops(**{name: getattr(module, name) for name in TexelLoops.__dataclass_fields__})
@@ -190,7 +191,7 @@ def small_fits(n_parameters: int) -> ModuleType:
     """The compiled functions of `gonio.kernels.small_fits` for models with so many parameters."""
     import numba
 
-    text = "import math\n\nfrom numba import njit\nfrom gonio.kernels.sums import add_products\n"
+    text = "import math\n\nfrom numba import njit\n" + _dispatch(1 + n_parameters)
     text += _decorated(_body("small_fits"))
     summing = _DECORATOR.replace(")\n", ', fastmath={"reassoc", "contract"})\n')
     for name in _SUMMING:
@@ -297,8 +298,11 @@ def _render(kernel: Callable[..., Any], n_parameters: int, *, single: bool) -> s
         f"    gradient[{j}, k] = both[{j + 1}] if above else {zero}" for j in range(n_parameters)
     ]
     header = _header(kernel, n_parameters, stores, single=single)
-    kept = "" if single else _kept(kernel, n_parameters)
-    return header + kept + _decorated(body)
+    if single:
+        return header + _decorated(body)
+    # All columns of a fit, or those of up to two amplitudes.
+    sums = _dispatch(2, 3, 1 + n_parameters)
+    return header + _kept(kernel, n_parameters) + sums + _decorated(body)
 
 
 def _body(name: str) -> str:
@@ -309,6 +313,14 @@ def _body(name: str) -> str:
 
 def _decorated(body: str) -> str:
     return body.replace("\ndef ", "\n" + _DECORATOR + "def ")
+
+
+def _dispatch(*sizes: int) -> str:
+    """An `add_products` for blocks with these numbers of rows."""
+    from gonio.kernels.sums import dispatch
+
+    text: str = dispatch(sizes)
+    return text
 
 
 def _kept(kernel: Callable[..., Any], n_parameters: int) -> str:

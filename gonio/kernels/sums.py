@@ -41,34 +41,29 @@ def _fused(n):
 
 
 _module = generated_module("gonio_products", _HEADER + "\n".join(map(_fused, _FUSED)))
-products_2, products_3, products_4, products_5, products_6, products_7 = (
-    getattr(_module, f"products_{n}") for n in _FUSED
-)
+products = {n: getattr(_module, f"products_{n}") for n in _FUSED}  # compiled where they are used
 
 
-@njit(nogil=True, error_model="numpy")
-def add_products(columns, rows, weight, work, out):
-    """Add sum_t weight[t] columns[rows[a], t] columns[rows[b], t] to out[a, b], for b <= a."""
-    n = rows.shape[0]
-    if n == 2:
-        products_2(columns, rows, weight, out)
-    elif n == 3:
-        products_3(columns, rows, weight, out)
-    elif n == 4:
-        products_4(columns, rows, weight, out)
-    elif n == 5:
-        products_5(columns, rows, weight, out)
-    elif n == 6:
-        products_6(columns, rows, weight, out)
-    elif n == 7:
-        products_7(columns, rows, weight, out)
-    else:
-        _products(columns, rows, weight, work, out)
+def dispatch(sizes):
+    """Text of an `add_products` that makes the sums of these numbers of rows in one pass.
+
+    Every number costs compilation; others are left to the plain `add_products`, as `any_products`.
+    """
+    chosen = sorted(set(sizes) & set(_FUSED))
+    lines = ["from gonio.kernels.sums import add_products as any_products, products", ""]
+    lines += [f"products_{n} = products[{n}]" for n in chosen]
+    lines += ["", "", '@njit(nogil=True, error_model="numpy")']
+    lines += ["def add_products(columns, rows, weight, work, out):", "    n = rows.shape[0]"]
+    for n in chosen:
+        lines += [f"    if n == {n}:", f"        products_{n}(columns, rows, weight, out)"]
+        lines += ["        return"]
+    lines += ["    any_products(columns, rows, weight, work, out)", ""]
+    return "\n".join(lines)
 
 
 @njit(nogil=True, error_model="numpy", fastmath=_SUMS)
-def _products(columns, rows, weight, work, out):
-    """`add_products` of any number of rows, one sum after the other."""
+def add_products(columns, rows, weight, work, out):
+    """Add sum_t weight[t] columns[rows[a], t] columns[rows[b], t] to out[a, b], for b <= a."""
     n = weight.shape[0]
     for a in range(rows.shape[0]):
         left = columns[rows[a]]

@@ -319,8 +319,7 @@ def _dispatch(*sizes: int) -> str:
     """An `add_products` for blocks with these numbers of rows."""
     from gonio.kernels.sums import dispatch
 
-    text: str = dispatch(sizes)
-    return text
+    return dispatch(sizes)
 
 
 def _kept(kernel: Callable[..., Any], n_parameters: int) -> str:

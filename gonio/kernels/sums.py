@@ -21,7 +21,7 @@ SUMS = {sorted(_SUMS)!r}
 _FUSED = range(2, 8)
 
 
-def _fused(n):
+def _fused(n: int) -> str:
     """Text of `products_n(columns, rows, weight, out)`: the sums of n rows in one pass."""
     columns = [f"    c_{a} = columns[rows[{a}]]" for a in range(n)]
     pairs = [(a, b) for a in range(n) for b in range(a + 1)]
@@ -44,7 +44,7 @@ _module = generated_module("gonio_products", _HEADER + "\n".join(map(_fused, _FU
 products = {n: getattr(_module, f"products_{n}") for n in _FUSED}  # compiled where they are used
 
 
-def dispatch(sizes):
+def dispatch(sizes: tuple[int, ...]) -> str:
     """Text of an `add_products` that makes the sums of these numbers of rows in one pass.
 
     Every number costs compilation; others are left to the plain `add_products`, as `any_products`.

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.timing import Row, best_in_turn
-from gonio.fitting.minimum import find_minimum
+from gonio.fitting.minimum.find import find_minimum
 from gonio.geometry import Directions, FloatArray
 from gonio.models import get
 from gonio.samples import BRDFSamples

@@ -27,7 +27,7 @@ from gonio.calibration.reflector import (
 )
 from gonio.files import atomic_path
 from gonio.geometry import FloatArray, angles, from_equal_area, hemisphere_quadrature, unit_vectors
-from gonio.plot.style import BLUE, VERMILLION, format_of, style
+from gonio.plotting.style import BLUE, VERMILLION, format_of, style
 
 R = 150.0
 RATIOS = (0.02, 0.05, 0.10, 0.15)

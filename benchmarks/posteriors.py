@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.timing import Row
 from gonio import models
-from gonio.fitting import posterior
-from gonio.fitting.convergence import autocorrelation_time
-from gonio.fitting.minimum import Minimum, find_minimum, uncertainties
+from gonio.fitting.minimum.find import Minimum, find_minimum, uncertainties
+from gonio.fitting.posterior import sample as posterior
+from gonio.fitting.posterior.convergence import autocorrelation_time
 from gonio.geometry import Directions, FloatArray
 from gonio.samples import BRDFSamples
 

@@ -23,7 +23,7 @@ import tempfile
 from pathlib import Path
 
 import gonio
-from gonio.calibration.mapping import MAPPINGS
+from gonio.calibration.dome.pixel_map import MAPPINGS
 from gonio.calibration.reflector import Mapping
 from gonio.files import atomic_path
 from gonio.materials import get, names

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from benchmarks.kernels import angles as angles_of
 from benchmarks.kernels import plain_oren_nayar, plain_ward
 from benchmarks.timing import Row, best_in_turn
-from gonio.fitting.batch import TexelFit, fit_texels
+from gonio.fitting.texels import TexelFit, fit_texels
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
 from gonio.models import get
 

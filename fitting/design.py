@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting import curvature
-from gonio.fitting.problem import Problem
-from gonio.fitting.uncertainty import shared_change
+from gonio.fitting.minimum import curvature
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty.covariance import shared_change
 from gonio.geometry import FloatArray
 from gonio.models import Model
 from gonio.samples import BRDFSamples, SharedTerm

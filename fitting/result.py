@@ -94,7 +94,7 @@ class PosteriorSummary:
     note : str
         Why the marginal sampler was not used; empty where it was.
     priors : mapping of str to str
-        As `gonio.fitting.priors` writes them, file units.
+        As `gonio.fitting.posterior.priors` writes them, file units.
     """
 
     ess: float
@@ -208,10 +208,11 @@ class FitResult:
     nuisance : tuple of NuisanceEstimate
         Shared errors that were learnt with the fit, else empty.
     engine : str
-        What searched for the minimum before the Gauss-Newton steps (`gonio.fitting.engines`).
+        What searched for the minimum before the Gauss-Newton steps
+        (`gonio.fitting.minimum.engines`).
     loss : str
-        What was made small (`gonio.fitting.losses`); for another one than chi2 its value stands as
-        `chi2`, and uncertainties come from the scatter of the residuals.
+        What was made small (`gonio.fitting.problem.losses`); for another one than chi2 its value
+        stands as `chi2`, and uncertainties come from the scatter of the residuals.
     """
 
     model: str

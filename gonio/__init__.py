@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from gonio.calibration.reduction import reduce
-    from gonio.fitting.least_squares import fit
+    from gonio.calibration.reduction.reduce import reduce
+    from gonio.fitting.fit import fit
     from gonio.simulation import simulate
 
 __all__ = ["__version__", "fit", "reduce", "simulate"]
@@ -17,8 +17,8 @@ __all__ = ["__version__", "fit", "reduce", "simulate"]
 # The verbs load their machinery at first use, so that `import gonio` stays light.
 _VERBS = {
     "simulate": "gonio.simulation",
-    "reduce": "gonio.calibration.reduction",
-    "fit": "gonio.fitting.least_squares",
+    "reduce": "gonio.calibration.reduction.reduce",
+    "fit": "gonio.fitting.fit",
 }
 
 

@@ -26,7 +26,7 @@ from typing import TypeVar
 from matplotlib.figure import Figure
 
 from gonio.files import atomic_path, write_text
-from gonio.plot import style
+from gonio.plotting import style
 
 ROOT = Path(__file__).resolve().parents[1]
 FIELDS = ("paper", "item", "printed", "ours", "agrees", "why", "notebook")

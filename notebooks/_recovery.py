@@ -18,8 +18,8 @@ from gonio.materials import get as get_material
 from gonio.materials import names
 from gonio.metadata import Plan
 from gonio.models import get as get_model
-from gonio.plot import style
-from gonio.plot.style import COLOURS, symbol
+from gonio.plotting import style
+from gonio.plotting.style import COLOURS, symbol
 from gonio.simulation import default_plan, is_anisotropic
 
 # What may be left at most: the lobe's bias (eq. (3) on a sphere, slope errors of the dome, blur) as

@@ -29,7 +29,7 @@ from gonio import models
 from gonio.checks import directional_albedo
 from gonio.geometry import Directions
 from gonio.models.oren_nayar_numeric import d1, d2
-from gonio.plot import style
+from gonio.plotting import style
 
 nb = Notebook("blog_oren_nayar", paper="Blog on PBRT's Oren-Nayar")
 NUMERIC, FUNCTIONAL, QUALITATIVE = (

@@ -24,13 +24,13 @@ import numpy as np
 from _common import Notebook
 
 from gonio import models
-from gonio.calibration.standard import standard_brdf
+from gonio.calibration.frames.standard import standard_brdf
 from gonio.geometry import angles
 from gonio.instrument import preset
 from gonio.instrument.images import Fixed, Images, Surface
 from gonio.instrument.records import metadata
 from gonio.metadata import Plan
-from gonio.plot import style
+from gonio.plotting import style
 
 nb = Notebook("instrument_cancellation", paper="Ward 1992")
 N = 52

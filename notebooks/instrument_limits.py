@@ -28,7 +28,7 @@ from gonio.calibration.budget import budget
 from gonio.instrument import preset
 from gonio.instrument.resolution import report, resolve
 from gonio.metadata import Plan
-from gonio.plot import resolution_map, style
+from gonio.plotting import resolution_map, style
 from gonio.simulation import default_plan
 
 nb = Notebook("instrument_limits", paper="Ward 1992")

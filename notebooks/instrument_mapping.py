@@ -31,8 +31,8 @@ from gonio.calibration.reflector import (
     solid_angle_ratio,
 )
 from gonio.geometry import hemisphere_quadrature, unit_vectors
-from gonio.plot import style
-from gonio.plot.style import BLUE, VERMILLION
+from gonio.plotting import style
+from gonio.plotting.style import BLUE, VERMILLION
 
 nb = Notebook("instrument_mapping", paper="Ward 1992")
 R = 150.0

@@ -30,10 +30,10 @@ from _common import Notebook
 from gonio import models
 from gonio.checks import directional_albedo
 from gonio.geometry import Directions, hemisphere_quadrature, unit_vectors
-from gonio.plot import style
-from gonio.plot.style import GREY, PURPLE
-from gonio.render import Directional, prefilter, prefilter_error, render, sky, srgb
-from gonio.render.prefilter import outgoing
+from gonio.plotting import style
+from gonio.plotting.style import GREY, PURPLE
+from gonio.rendering import Directional, prefilter, prefilter_error, render, sky, srgb
+from gonio.rendering.prefilter import outgoing
 
 nb = Notebook("losasso_models", paper="Losasso")
 DEG = pi / 180

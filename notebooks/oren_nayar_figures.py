@@ -31,9 +31,9 @@ from _common import Notebook
 from gonio import models
 from gonio.geometry import Directions
 from gonio.models.oren_nayar_numeric import d1, d2
-from gonio.plot import style
-from gonio.plot.style import GREY
-from gonio.render import Directional, cross_section, render, srgb
+from gonio.plotting import style
+from gonio.plotting.style import GREY
+from gonio.rendering import Directional, cross_section, render, srgb
 
 nb = Notebook("oren_nayar_figures", paper="Oren and Nayar 1994")
 NUMERIC, FUNCTIONAL = (models.get(name) for name in ("oren_nayar_numeric", "oren_nayar"))

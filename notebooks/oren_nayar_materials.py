@@ -37,9 +37,9 @@ from gonio.geometry import Directions
 from gonio.instrument import preset
 from gonio.materials import get as get_material
 from gonio.metadata import Plan
-from gonio.plot import style
-from gonio.plot.lobe import in_plane
-from gonio.plot.style import COLOURS, GREY
+from gonio.plotting import style
+from gonio.plotting.lobe import in_plane
+from gonio.plotting.style import COLOURS, GREY
 from gonio.simulation import default_plan
 
 nb = Notebook("oren_nayar_materials", paper="Oren and Nayar 1994")

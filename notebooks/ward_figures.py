@@ -30,12 +30,12 @@ from _common import Notebook
 
 import gonio
 from gonio import models
-from gonio.calibration.exposure import merge
+from gonio.calibration.frames.exposure import merge
 from gonio.geometry import Directions, unit_vectors
 from gonio.materials import get as get_material
 from gonio.metadata import Plan
-from gonio.plot import frames, slices, style
-from gonio.plot.frames import pixel_of
+from gonio.plotting import frames, slices, style
+from gonio.plotting.frames import pixel_of
 
 nb = Notebook("ward_figures", paper="Ward 1992")
 MATERIAL = "rolled_aluminum"

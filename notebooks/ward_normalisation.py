@@ -26,7 +26,7 @@ from _common import Notebook
 from gonio import models
 from gonio.checks import directional_albedo
 from gonio.geometry import Directions, unit_vectors
-from gonio.plot import style
+from gonio.plotting import style
 
 nb = Notebook("ward_normalisation", paper="Ward 1992")
 VARIANTS = {

@@ -26,8 +26,8 @@ from _common import Notebook
 
 from gonio import models
 from gonio.geometry import unit_vectors
-from gonio.plot import style
-from gonio.render import Room, plate, plate_reference
+from gonio.plotting import style
+from gonio.rendering import Room, plate, plate_reference
 
 nb = Notebook("ward_rendering", paper="Ward 1992")
 BRASS = {"rho_d": 0.1, "rho_s": 0.33, "alpha_x": 0.05, "alpha_y": 0.16}

@@ -26,7 +26,7 @@ from _common import Notebook
 from gonio import models
 from gonio.checks import directional_albedo
 from gonio.geometry import unit_vectors
-from gonio.plot import style
+from gonio.plotting import style
 
 nb = Notebook("ward_sampling", paper="Ward 1992")
 n = nb.choose(quick=200_000, full=4_000_000)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import gonio
-from gonio.calibration import geometry_file
-from gonio.calibration.alignment import Alignment, fit
-from gonio.calibration.exposure import Rate
-from gonio.calibration.mapping import PixelMap
-from gonio.calibration.mirror_task import Length
-from gonio.calibration.spots import Spot, find_spots, locate, mirrored
+from gonio.calibration.dome import geometry_file
+from gonio.calibration.dome.alignment import Alignment, fit
+from gonio.calibration.dome.pixel_map import PixelMap
+from gonio.calibration.dome.spot_residuals import Length
+from gonio.calibration.dome.spots import Spot, find_spots, locate, mirrored
+from gonio.calibration.frames.exposure import Rate
 from gonio.cli.calibrate_alignment import command
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import unit_vectors

@@ -9,7 +9,7 @@ import pytest
 import gonio
 from gonio import models
 from gonio.errors import DataError
-from gonio.fitting.batch import BLOCK, STATUS, fit_texels
+from gonio.fitting.texels import BLOCK, STATUS, fit_texels
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 

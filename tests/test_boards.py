@@ -12,16 +12,16 @@ import pytest
 
 from gonio import instrument
 from gonio.board import Board, dictionaries
-from gonio.calibration import boards
-from gonio.calibration.corner_template import Ink, refine
-from gonio.calibration.fisheye import Fisheye
-from gonio.calibration.image_circle import fit_image_circle
-from gonio.calibration.lens_fit import Pose, rotation_vector
+from gonio.calibration.lens import boards
+from gonio.calibration.lens.bundle_adjustment import Pose, rotation_vector
+from gonio.calibration.lens.corner_template import Ink, refine
+from gonio.calibration.lens.fisheye import Fisheye
+from gonio.calibration.lens.image_circle import fit_image_circle
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import angles, unit_vectors
 from gonio.instrument import board_photos
 from gonio.instrument.board_photos import BoardCamera, Photographer, draw_poses, save_photos
-from gonio.plot.board import rectangles, save_board
+from gonio.plotting.board import rectangles, save_board
 
 RIG = instrument.preset("modern12")
 PLAIN = Board("chessboard", 9, 6, 20.0)

@@ -11,7 +11,7 @@ import gonio
 from gonio import cli, models
 from gonio.calibration.budget import budget
 from gonio.errors import DataError
-from gonio.fitting.least_squares import fit
+from gonio.fitting.fit import fit
 from gonio.geometry import Directions, angles, unit_vectors
 from gonio.metadata import Plan
 from gonio.samples import BRDFSamples, SharedTerm

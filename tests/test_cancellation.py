@@ -7,9 +7,9 @@ from scipy.ndimage import gaussian_filter
 from virtual import DOME, images, small
 
 from gonio import models
-from gonio.calibration.exposure import Rate, merge
-from gonio.calibration.mapping import PixelMap
-from gonio.calibration.standard import brdf, irradiance_ratio, reference, standard_brdf
+from gonio.calibration.dome.pixel_map import PixelMap
+from gonio.calibration.frames.exposure import Rate, merge
+from gonio.calibration.frames.standard import brdf, irradiance_ratio, reference, standard_brdf
 from gonio.geometry import angles, unit_vectors
 from gonio.instrument import Instrument, imaging
 from gonio.instrument.records import metadata

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gonio import models
-from gonio.calibration import cells
+from gonio.calibration.reduction import cells
 from gonio.geometry import angles, equal_area, from_equal_area, unit_vectors
 
 HALF = 0.5 / np.sqrt(3)  # Gauss-Legendre points of order 2 on a pixel of side 1

@@ -13,8 +13,9 @@ import pytest
 
 from gonio import cli, instrument
 from gonio.board import Board
-from gonio.calibration import lens, lens_file
-from gonio.calibration.lens_photos import calibrate_lens
+from gonio.calibration.lens import lens_file
+from gonio.calibration.lens import projection as lens
+from gonio.calibration.lens.from_photos import calibrate_lens
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import unit_vectors
 from gonio.instrument.board_photos import BoardCamera

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gonio import models
-from gonio.fitting import optimise, posterior
+from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.posterior import sample as posterior
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions
 
@@ -113,7 +114,7 @@ def test_a_posterior_that_has_not_converged_leaves_with_1(gonio, table, monkeypa
 
 
 def test_a_fit_that_misses_its_checks_leaves_with_1(gonio, table, monkeypatch):
-    monkeypatch.setattr(optimise, "gradient_faults", lambda *_: ["sigma"])
+    monkeypatch.setattr(gauss_newton, "gradient_faults", lambda *_: ["sigma"])
     code, data, _ = fitted(gonio, table(), "--model", "oren_nayar")
     assert code == 1
     assert data["status"] == "not_converged"

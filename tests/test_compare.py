@@ -11,8 +11,8 @@ from scipy import stats
 
 from gonio import formats, models
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting import criteria
-from gonio.fitting.compare import compare
+from gonio.fitting.comparison import predictive_scores
+from gonio.fitting.comparison.compare import compare
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
 
@@ -180,7 +180,7 @@ def test_held_out_density_is_that_of_the_whole_group(matt):
 
 
 def test_too_many_draws_of_a_shared_error_are_left_out_and_said(matt, monkeypatch):
-    monkeypatch.setattr(criteria, "MAX_SHARED", 3)
+    monkeypatch.setattr(predictive_scores, "MAX_SHARED", 3)
     lamp = SharedTerm("lamp", "by image", group=np.repeat(np.arange(5), 60), relative=0.01)
     found = compare(replace(matt, shared=(lamp,)), ["lambert", "oren_nayar"])
     assert "the held-out score leaves out lamp: each has more than 3 draws." in found.best.notes
@@ -228,7 +228,7 @@ def test_few_incidences_give_no_held_out_score():
 
 
 def test_bad_importance_weights_are_flagged_and_give_no_evidence(monkeypatch, matt):
-    monkeypatch.setattr(criteria, "MAX_K_HAT", -5.0)
+    monkeypatch.setattr(predictive_scores, "MAX_K_HAT", -5.0)
     entry = compare(matt, ["lambert", "oren_nayar"]).entry("lambert")
     assert entry.log_evidence is None
     assert any(n.startswith("no evidence: the importance weights fail (k-hat") for n in entry.notes)
@@ -236,7 +236,7 @@ def test_bad_importance_weights_are_flagged_and_give_no_evidence(monkeypatch, ma
 
 
 def test_leave_one_out_from_a_part_of_many_samples(monkeypatch, matt, matt_compared):
-    monkeypatch.setattr(criteria, "LOO_SAMPLES", 100)
+    monkeypatch.setattr(predictive_scores, "LOO_SAMPLES", 100)
     found = compare(matt, ["lambert", "oren_nayar"])
     whole = matt_compared.entry("lambert").loo
     part = found.entry("lambert").loo
@@ -255,8 +255,8 @@ def test_progress_counts_the_models(matt):
 
 def test_scattered_incidences_make_few_groups():
     theta_i = np.random.default_rng(1).uniform(0, 1.3, 500)
-    groups = criteria.incidence_groups(theta_i)
-    assert 10 < len(groups) <= criteria.MAX_GROUPS
+    groups = predictive_scores.incidence_groups(theta_i)
+    assert 10 < len(groups) <= predictive_scores.MAX_GROUPS
     assert np.array_equal(np.sort(np.concatenate(groups)), np.arange(500))
     assert max(np.ptp(theta_i[g]) for g in groups) < np.radians(8)
 

@@ -289,7 +289,11 @@ def test_nothing_of_python_stands_on_two_pages():
     documented = re.findall(r"^\.\. auto(?:class|function|exception):: (.*)", pages, re.MULTILINE)
     assert len(documented) == len(set(documented))
     wanted = {"gonio.simulate", "gonio.reduce", "gonio.fit", "gonio.models.get"}
-    wanted |= {"gonio.geometry.Directions", "gonio.samples.BRDFSamples", "gonio.plot.model_lobe"}
+    wanted |= {
+        "gonio.geometry.Directions",
+        "gonio.samples.BRDFSamples",
+        "gonio.plotting.model_lobe",
+    }
     assert wanted <= set(documented)
     assert "``fit``: see `gonio.fit`." in pages
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gonio.calibration.exposure import Rate, average, merge, response_tables
+from gonio.calibration.frames.exposure import Rate, average, merge, response_tables
 from gonio.metadata import Camera
 
 TIMES = (0.25e-3, 1e-3, 4e-3, 16e-3, 64e-3, 256e-3)

@@ -11,7 +11,7 @@ from virtual import small
 
 import gonio
 from gonio import cli
-from gonio.calibration import faults
+from gonio.calibration.faults import session as faults
 from gonio.errors import DataError
 from gonio.instrument import Instrument, preset, preset_names
 from gonio.instrument.records import channels

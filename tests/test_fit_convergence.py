@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gonio.fitting import convergence
+from gonio.fitting.posterior import convergence
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # arviz announces its next major version

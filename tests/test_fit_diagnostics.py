@@ -9,11 +9,13 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.fitting import identify, mending, residuals
-from gonio.fitting.minimum import find_minimum
-from gonio.fitting.optimise import minimise
-from gonio.fitting.problem import Problem
-from gonio.fitting.shared import information
+from gonio.fitting.diagnostics import identifiability as identify
+from gonio.fitting.diagnostics import next_measurement as mending
+from gonio.fitting.diagnostics import residual_report as residuals
+from gonio.fitting.minimum.find import find_minimum
+from gonio.fitting.minimum.gauss_newton import minimise
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty.information import information
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
 

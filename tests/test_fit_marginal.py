@@ -11,13 +11,14 @@ from scipy import integrate, stats
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError
-from gonio.fitting import marginal, posterior, predictive, truncated
-from gonio.fitting import target as targets
-from gonio.fitting.minimum import find_minimum, uncertainties
-from gonio.fitting.priors import Prior
-from gonio.fitting.problem import Problem
-from gonio.fitting.proposal import SHARES, Proposal, pilot
-from gonio.fitting.target import MarginalTarget, WholeTarget
+from gonio.fitting.minimum.find import find_minimum, uncertainties
+from gonio.fitting.posterior import density as targets
+from gonio.fitting.posterior import marginal_sampler, predictive, truncated_normal
+from gonio.fitting.posterior import sample as posterior
+from gonio.fitting.posterior.density import MarginalTarget, WholeTarget
+from gonio.fitting.posterior.priors import Prior
+from gonio.fitting.posterior.proposal import SHARES, Proposal, pilot
+from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, Cells
 
@@ -68,7 +69,7 @@ def test_the_probability_of_a_box_is_its_integral(rho, lower, upper):
     )
     exact = integrate.simpson(stats.norm.pdf(x) * inner, x=x)
     covariance = np.array([[[1.0, rho], [rho, 1.0]]])
-    found = truncated.log_probability(
+    found = truncated_normal.log_probability(
         np.zeros((1, 2)), covariance, np.array(lower), np.array(upper)
     )
     # The reference's differences of distributions are known to 1e-16 each.
@@ -81,7 +82,7 @@ def test_the_probability_of_a_box_is_its_integral(rho, lower, upper):
 def test_draws_in_a_box_have_its_moments(mean, rho):
     n = 2000 if rho == -0.9 and mean[0] < 0 else 20_000
     covariance = 0.01 * np.array([[1.0, rho], [rho, 1.0]])
-    drawn = truncated.draw(
+    drawn = truncated_normal.draw(
         np.tile(mean, (n, 1)), np.tile(covariance, (n, 1, 1)), np.zeros(2), np.ones(2),
         np.random.default_rng(1),
     )  # fmt: skip
@@ -101,7 +102,7 @@ def test_draws_in_a_box_have_its_moments(mean, rho):
 
 
 def test_one_variable_far_in_its_tail():
-    drawn = truncated.draw(
+    drawn = truncated_normal.draw(
         np.full((5000, 1), -8.0), np.ones((5000, 1, 1)), np.zeros(1), np.ones(1),
         np.random.default_rng(1),
     )  # fmt: skip
@@ -343,20 +344,20 @@ def test_the_guard_sees_a_proposal_that_misses_a_mode():
     narrow = Proposal.about(both, whole[0][None], whole[1][None], np.ones(1), whole, SHARES)
     seen = narrow.weighted(both, 5120, rng)
     _, evidence = pilot(both, whole[1], rng)
-    doubt = marginal._doubt(
-        marginal.convergence.k_hat(seen.log_weight), 0.9,
-        marginal._disagreement(seen.log_weight, evidence),
+    doubt = marginal_sampler._doubt(
+        marginal_sampler.convergence.k_hat(seen.log_weight), 0.9,
+        marginal_sampler._disagreement(seen.log_weight, evidence),
     )  # fmt: skip
     assert doubt
     # The sampler itself finds both.
-    run = marginal.sample(both, whole[1], rng)
+    run = marginal_sampler.sample(both, whole[1], rng)
     assert not run.refusal
     share = np.mean(run.draws < 0)
     assert share == pytest.approx(6 / 7, abs=4 * np.sqrt(6 / 49 / run.measures.ess_bulk))
 
 
 def test_where_the_guard_refuses_emcee_takes_over(monkeypatch):
-    monkeypatch.setattr(marginal, "MAX_K_HAT", -np.inf)
+    monkeypatch.setattr(marginal_sampler, "MAX_K_HAT", -np.inf)
     samples = noisy("ward_isotropic", {"rho_d": 0.3, "rho_s": 0.1, "alpha": 0.2})
     result = gonio.fit(samples, model="ward_isotropic", posterior=True)
     assert (result.posterior.sampler, result.ok) == ("emcee", True)

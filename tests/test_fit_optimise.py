@@ -9,8 +9,8 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.fitting import optimise, scan
-from gonio.fitting.problem import Problem
+from gonio.fitting.minimum import gauss_newton, starting_values
+from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 
@@ -60,11 +60,11 @@ def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
     problem = Problem.from_samples(noisy(name, n=40 if model.costly else 1000), model, threads=1)
     rng = np.random.default_rng(2)
     some = [model.vector(random_start(model, rng)) for _ in range(50)]
-    ends = [optimise.minimise(problem, start) for start in some]
+    ends = [gauss_newton.minimise(problem, start) for start in some]
     assert all(end.verified for end in ends)
     chi2 = np.array([end.chi2 for end in ends])
     np.testing.assert_allclose(chi2, chi2.min(), rtol=1e-9)
-    free = optimise.minima(problem)[0]
+    free = gauss_newton.minima(problem)[0]
     assert free.chi2 == pytest.approx(chi2.min(), rel=1e-9)
     determined = (np.diag(ends[0].curvature) > 0) & ends[0].free
     index = np.ix_(determined, determined)
@@ -99,7 +99,7 @@ def test_twenty_wards_of_twenty_come_back():
         }
         samples = noisy("ward", n=4000, seed=100 + seed, **truth)
         problem = Problem.from_samples(samples, models.get("ward"))
-        end = optimise.minima(problem)[0]
+        end = gauss_newton.minima(problem)[0]
         assert end.verified
         np.testing.assert_allclose(end.p, list(truth.values()), rtol=0.05)
 
@@ -118,12 +118,12 @@ def test_several_lobes_are_found_without_a_start(name, truth):
     f = model.evaluate(*where.vectors(), true)
     samples = BRDFSamples(where, f * (1 + 0.01 * np.random.default_rng(10).standard_normal(6000)))
     problem = Problem.from_samples(samples, model)
-    end = optimise.minima(problem)[0]
+    end = gauss_newton.minima(problem)[0]
     assert end.verified
     assert end.chi2 <= problem.chi2(true)
     # The diffuse terms are one, so only their sum is known.
-    found = scan.ordered(problem, end.p)
-    true = scan.ordered(problem, true)
+    found = starting_values.ordered(problem, end.p)
+    true = starting_values.ordered(problem, true)
     lobes = [j for j, q in enumerate(model.parameters) if q.name.startswith(("rho_s", "alpha"))]
     np.testing.assert_allclose(found[lobes], true[lobes], rtol=0.1)
     np.testing.assert_allclose(problem.values(found), f, rtol=0.02)
@@ -131,9 +131,11 @@ def test_several_lobes_are_found_without_a_start(name, truth):
 
 def test_the_search_for_a_start_is_bounded(monkeypatch):
     asked = []
-    original = scan.scored
+    original = starting_values.scored
     monkeypatch.setattr(
-        scan, "scored", lambda problem, box, p: (asked.append(len(p)), original(problem, box, p))[1]
+        starting_values,
+        "scored",
+        lambda problem, box, p: (asked.append(len(p)), original(problem, box, p))[1],
     )
     for name in ("ggx", "lambert+ward+ward+ward", "ggx+ggx"):
         asked.clear()
@@ -141,7 +143,7 @@ def test_the_search_for_a_start_is_bounded(monkeypatch):
         problem = Problem.from_samples(
             BRDFSamples(where, 0.1 + models.get("ward")(where)), models.get(name)
         )
-        assert len(scan.candidates(problem, 2)) == 2
+        assert len(starting_values.candidates(problem, 2)) == 2
         assert sum(asked) <= 2000
 
 
@@ -191,15 +193,15 @@ def test_fit_from_given_starts_is_the_fit_from_the_data(name):
 def test_the_saddle_at_sigma_0_is_left():
     """f depends on sigma^2: its derivative vanishes at sigma = 0 whatever the data say."""
     problem = Problem.from_samples(noisy("oren_nayar"), models.get("oren_nayar"), threads=1)
-    stuck = optimise.minimise(problem, np.array([0.7, 0.0]), search=False)
-    end = optimise.minimise(problem, np.array([0.7, 0.0]))
+    stuck = gauss_newton.minimise(problem, np.array([0.7, 0.0]), search=False)
+    end = gauss_newton.minimise(problem, np.array([0.7, 0.0]))
     assert stuck.chi2 > 10 * end.chi2
     assert abs(end.p[1] - 0.4) < 0.01
 
 
 def test_a_lobe_switched_off_at_the_start_is_found():
     problem = Problem.from_samples(noisy("ward"), models.get("ward"), threads=1)
-    end = optimise.minimise(problem, np.array([0.2, 0.0, 2.0, 0.005]))
+    end = gauss_newton.minimise(problem, np.array([0.2, 0.0, 2.0, 0.005]))
     assert end.verified
     np.testing.assert_allclose(end.p, list(TRUTHS["ward"].values()), rtol=0.02)
 
@@ -216,7 +218,9 @@ def test_the_minimum_is_that_of_scipy():
 
     samples = noisy("ward", n=300)
     model = models.get("ward")
-    end = optimise.minimise(Problem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1]))
+    end = gauss_newton.minimise(
+        Problem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1])
+    )
     w_i, w_r = samples.directions.vectors()
     found = least_squares(
         lambda p: samples.value - model.evaluate(w_i, w_r, p), [0.1, 0.1, 0.1, 0.1],
@@ -277,11 +281,11 @@ def test_the_derivatives_of_every_model_pass(name):
     problem = Problem.from_samples(BRDFSamples(where, model(where) + 1e-3), model)
     for point in ("default", "lower", "upper"):
         p = np.array([getattr(q, point) for q in model.parameters])
-        assert optimise.gradient_faults(problem, p) == []
+        assert gauss_newton.gradient_faults(problem, p) == []
 
 
 def test_an_unfinished_minimum_is_not_converged(monkeypatch):
-    monkeypatch.setattr(optimise, "POLISH_STEPS", 1)
+    monkeypatch.setattr(gauss_newton, "POLISH_STEPS", 1)
     result = gonio.fit(noisy("ward", n=200, noise=1e-4), model="ward")
     assert result.status == "not_converged"
     assert (
@@ -291,12 +295,12 @@ def test_an_unfinished_minimum_is_not_converged(monkeypatch):
 
 def test_the_deeper_of_two_minima_wins():
     problem = Problem.from_samples(noisy("ward", n=100), models.get("ward"))
-    a = optimise.minimise(problem, np.array([0.1, 0.1, 0.1, 0.1]))
+    a = gauss_newton.minimise(problem, np.array([0.1, 0.1, 0.1, 0.1]))
     deeper, same = replace(a, chi2=a.chi2 * 0.9, verified=False), replace(a, verified=False)
-    assert optimise.better(a, deeper) is deeper
-    assert optimise.better(deeper, a) is deeper
-    assert optimise.better(a, same) is a
-    assert optimise.better(same, a) is a
+    assert gauss_newton.better(a, deeper) is deeper
+    assert gauss_newton.better(deeper, a) is deeper
+    assert gauss_newton.better(a, same) is a
+    assert gauss_newton.better(same, a) is a
 
 
 def test_the_start_subset_does_not_miss_a_narrow_lobe():

@@ -15,12 +15,15 @@ from scipy import stats
 import gonio
 from gonio import models
 from gonio.errors import DataError
-from gonio.fitting import marginal, optimise, posterior, uncertainty
-from gonio.fitting import target as targets
-from gonio.fitting.priors import Prior
-from gonio.fitting.problem import Problem
-from gonio.fitting.proposal import SHARES, Proposal
-from gonio.fitting.target import MarginalTarget, Target
+from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.posterior import density as targets
+from gonio.fitting.posterior import marginal_sampler
+from gonio.fitting.posterior import sample as posterior
+from gonio.fitting.posterior.density import MarginalTarget, Target
+from gonio.fitting.posterior.priors import Prior
+from gonio.fitting.posterior.proposal import SHARES, Proposal
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import Directions
 from gonio.models import Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
@@ -127,7 +130,7 @@ def test_a_linear_model_has_its_analytic_posterior(tmp_path):
 def test_draws_have_the_covariance_of_the_fit_where_the_noise_is_small():
     samples = noisy("ward_isotropic", ISOTROPIC, n=400, sd=2e-4)
     problem = Problem.from_samples(samples, models.get("ward_isotropic"))
-    optimum = optimise.minimise(problem, np.array(list(ISOTROPIC.values())))
+    optimum = gauss_newton.minimise(problem, np.array(list(ISOTROPIC.values())))
     errors = uncertainty.evaluate(problem, optimum, 1.0)
     chain = posterior.sample(problem, optimum, errors, seed=1)
     assert chain.converged
@@ -162,7 +165,7 @@ def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
 
     def chain(seed, threads):
         problem = Problem.from_samples(samples, models.get("lambert"), threads=threads)
-        optimum = optimise.minimise(problem, np.array([0.4]))
+        optimum = gauss_newton.minimise(problem, np.array([0.4]))
         errors = uncertainty.evaluate(problem, optimum, 1.0)
         return posterior.sample(problem, optimum, errors, seed=seed, max_steps=100)
 
@@ -283,7 +286,7 @@ def test_arviz_opens_the_draws_in_degrees(tmp_path):
     low, high = result.parameters["sigma"].interval_95
     np.testing.assert_allclose(np.quantile(sigma, [0.025, 0.975]), [low, high], rtol=1e-12)
     assert np.degrees(0.4) == pytest.approx(float(sigma.mean()), rel=0.1)
-    assert sigma.shape[0] == marginal.CHAINS
+    assert sigma.shape[0] == marginal_sampler.CHAINS
     data.close()
 
 
@@ -302,7 +305,7 @@ def celled(sd, spread=0.02, n=400, members=4):
     value = f.reshape(n, members).mean(axis=1) + sd * rng.standard_normal(n)
     samples = BRDFSamples(where, value, u_independent=np.full(n, sd), cells=cells)
     problem = Problem.from_samples(samples, models.get("ward_isotropic"))
-    optimum = optimise.minimise(problem, p)
+    optimum = gauss_newton.minimise(problem, p)
     return problem, optimum, uncertainty.evaluate(problem, optimum, 1.0)
 
 

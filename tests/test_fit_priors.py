@@ -9,7 +9,7 @@ from scipy import stats
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError
-from gonio.fitting import priors
+from gonio.fitting.posterior import priors
 from gonio.geometry import Directions
 from gonio.models import Parameter
 from gonio.samples import BRDFSamples

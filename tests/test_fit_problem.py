@@ -8,7 +8,7 @@ import pytest
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting.problem import Problem
+from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, Cells
 

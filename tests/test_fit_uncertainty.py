@@ -10,8 +10,9 @@ from scipy.optimize import least_squares
 
 import gonio
 from gonio import models
-from gonio.fitting import optimise, uncertainty
-from gonio.fitting.problem import Problem
+from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
 
@@ -323,5 +324,5 @@ def test_odd_data_never_give_nan(what, samples, name):
 def test_profile_of_an_unlimited_parameter_is_none():
     samples = BRDFSamples(directions(50), np.full(50, 1e-3), u_independent=np.full(50, 10.0))
     problem = Problem.from_samples(samples, models.get("lambert"))
-    end = optimise.minimise(problem, np.array([0.5]))
+    end = gauss_newton.minimise(problem, np.array([0.5]))
     assert uncertainty.profile_limit(problem, end, 0, 1.0, side=1) is None

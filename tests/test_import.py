@@ -16,7 +16,7 @@ from rig_files import change, small_rig
 
 import gonio
 from gonio import cli, materials, rig
-from gonio.calibration.mapping import PixelMap
+from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.errors import ConfigurationError, DataError
 from gonio.metadata import LensCalibration, Uncertain
 from gonio.rig import frame_files, session_file
@@ -830,7 +830,7 @@ def with_model(folder, lines):
 
 def test_a_standard_by_a_model_is_tabulated(folder):
     from gonio import models
-    from gonio.calibration.standard import standard_brdf
+    from gonio.calibration.frames.standard import standard_brdf
     from gonio.geometry import Directions
 
     with_model(folder, 'model = "oren_nayar"\nparameters = { sigma = 20, rho = 0.98 }')

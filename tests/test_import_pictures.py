@@ -13,7 +13,7 @@ import rig_files
 from rig_files import change, small_rig
 
 from gonio import rig
-from gonio.calibration.mapping import PixelMap
+from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.errors import ConfigurationError, DataError
 from gonio.rig import headers, raw
 from gonio.rig.headers import Header, read_header

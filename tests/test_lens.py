@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gonio.calibration.lens import (
+from gonio.calibration.lens.projection import (
     camera_angles,
     image_centre,
     pixel_positions,

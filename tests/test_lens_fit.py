@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from gonio.board import Board
-from gonio.calibration import lens_fit
-from gonio.calibration.fisheye import Fisheye
-from gonio.calibration.image_circle import ImageCircle
-from gonio.calibration.lens_cross_check import cross_check
-from gonio.calibration.lens_fit import Pose, View, fit_lens, place, rotation
-from gonio.calibration.lens_photos import LensFromPhotos
+from gonio.calibration.lens import bundle_adjustment as lens_fit
+from gonio.calibration.lens.bundle_adjustment import Pose, View, fit_lens, place, rotation
+from gonio.calibration.lens.cross_check import cross_check
+from gonio.calibration.lens.fisheye import Fisheye
+from gonio.calibration.lens.from_photos import LensFromPhotos
+from gonio.calibration.lens.image_circle import ImageCircle
 from gonio.errors import DataError
 from gonio.geometry import angles, unit_vectors
 

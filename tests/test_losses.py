@@ -8,8 +8,8 @@ import pytest
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting import losses
-from gonio.fitting.problem import Problem
+from gonio.fitting.problem import losses
+from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 

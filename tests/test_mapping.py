@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from gonio.calibration.mapping import PixelMap, error_modes, left_out
+from gonio.calibration.dome.pixel_map import PixelMap, error_modes, left_out
 from gonio.calibration.reflector import (
     landing_points,
     reflected_angles,

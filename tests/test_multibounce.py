@@ -5,7 +5,7 @@ import pytest
 from virtual import Drawn, images, small
 
 import gonio
-from gonio.calibration.multibounce import NAME, image_albedo
+from gonio.calibration.effects.multibounce import NAME, image_albedo
 from gonio.checks import directional_albedo
 from gonio.instrument.records import metadata
 from gonio.metadata import Plan
@@ -60,7 +60,7 @@ def test_an_instrument_without_it_has_no_such_term():
 
 
 def test_the_albedo_of_an_image_is_that_of_the_surface():
-    from gonio.calibration import reduction
+    from gonio.calibration.reduction import reduce as reduction
 
     seen = {}
     original = reduction.multibounce.corrected
@@ -102,7 +102,7 @@ def test_the_true_g_is_drawn_about_the_stated_one(tmp_path):
 def test_nothing_is_corrected_in_transmission():
     below = PLAN.model_copy(update={"mode": "transmission", "standard_theta_i_deg": 10.0})
     sheet = metadata(rig(0.3), below, "sheet", "")
-    from gonio.calibration.multibounce import is_corrected
+    from gonio.calibration.effects.multibounce import is_corrected
 
     assert not is_corrected(sheet)
     assert is_corrected(metadata(rig(0.3), PLAN, "sheet", ""))

@@ -11,11 +11,12 @@ from virtual import images, small
 
 import gonio
 from gonio import cli, models
-from gonio.calibration.shared_terms import _azimuth_terms
+from gonio.calibration.effects.all_terms import _azimuth_terms
 from gonio.errors import ConfigurationError
-from gonio.fitting import nuisance, optimise
-from gonio.fitting.nuisance import NuisanceProblem
-from gonio.fitting.problem import Problem
+from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.problem import nuisance
+from gonio.fitting.problem.nuisance import NuisanceProblem
+from gonio.fitting.problem.problem import Problem
 from gonio.fitting.result import FitResult, NuisanceEstimate
 from gonio.geometry import Directions, angles, rotated, unit_vectors
 from gonio.instrument.images import Fixed, Images
@@ -207,7 +208,7 @@ def test_the_inverse_covariance_is_the_dense_one():
     np.testing.assert_array_equal(some.values(TRUE), problem.values(TRUE)[::2])
     dense = dense[::2, ::2]
     assert some.chi2(TRUE) == pytest.approx(r[::2] @ np.linalg.solve(dense, r[::2]), rel=1e-9)
-    assert not optimise.gradient_faults(problem, TRUE)
+    assert not gauss_newton.gradient_faults(problem, TRUE)
 
 
 # ----------------------------------------------------------------------------- limits
@@ -539,7 +540,7 @@ def test_a_turn_takes_both_directions_along():
     assert term.moves_directions
     samples = BRDFSamples(where, np.ones(len(w_i)), shared=(term,))
     problem = Problem.from_samples(samples, models.get("ward"))
-    from gonio.fitting.uncertainty import shared_change
+    from gonio.fitting.uncertainty.covariance import shared_change
 
     change = shared_change(problem, term, TRUE, problem.values(TRUE))
     seen = [

@@ -14,17 +14,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import gonio
-from gonio import cli, models, plot
+from gonio import cli, models, plotting
 from gonio.calibration.reflector import reflected_angles
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.result import Estimate, FitResult, PosteriorSummary
 from gonio.geometry import Directions
 from gonio.instrument import Instrument, preset
 from gonio.metadata import Plan
-from gonio.plot.frames import pixel_of
-from gonio.plot.lobe import in_plane
-from gonio.plot.style import COLOURS, DPI
-from gonio.plot.summary import recovered
+from gonio.plotting.frames import pixel_of
+from gonio.plotting.lobe import in_plane
+from gonio.plotting.style import COLOURS, DPI
+from gonio.plotting.summary import recovered
 from gonio.samples import BRDFSamples
 from gonio.session import Session
 
@@ -121,7 +121,7 @@ def png_size(path: Path) -> tuple[int, int]:
 
 
 def test_frames_have_titles_units_and_a_colour_bar(session):
-    axes = plot.frames(session)
+    axes = plotting.frames(session)
     assert all(isinstance(ax, Axes) for ax in axes)
     assert [ax.get_title().split("= ")[1] for ax in axes] == ["10°", "30°", "50°"]
     assert all(ax.get_xlabel() == "column (pixel)" for ax in axes)
@@ -132,16 +132,16 @@ def test_frames_have_titles_units_and_a_colour_bar(session):
 
 def test_frames_draw_on_given_axes(session):
     given = list(Figure().subplots(1, 2))
-    assert plot.frames(session, [2, 0], given, take=1) == given
+    assert plotting.frames(session, [2, 0], given, take=1) == given
     assert given[0].get_title().endswith("50°")
     with pytest.raises(ConfigurationError, match="2 axes were given for 1 frames"):
-        plot.frames(session, [0], given)
+        plotting.frames(session, [0], given)
     with pytest.raises(ConfigurationError, match="incidence 3 is not of the session's plan"):
-        plot.frames(session, [3])
+        plotting.frames(session, [3])
 
 
 def test_the_specular_mark_sits_on_the_lobe(session):
-    (ax,) = plot.frames(session, [1])
+    (ax,) = plotting.frames(session, [1])
     image = np.ma.filled(ax.images[0].get_array(), 0.0)
     (mark,) = (line for line in ax.lines if line.get_label() == "specular")
     x, y = float(mark.get_xdata()[0]), float(mark.get_ydata()[0])
@@ -153,7 +153,7 @@ def test_the_specular_mark_sits_on_the_lobe(session):
 
 
 def test_overlay_inverts_lens_and_reflector(session):
-    from gonio.calibration import lens
+    from gonio.calibration.lens import projection as lens
 
     metadata = session.metadata
     theta_r, phi_r = np.radians([0, 30, 60, 80]), np.radians([0, 40, 170, -100])
@@ -170,7 +170,7 @@ def test_overlay_inverts_lens_and_reflector(session):
 
 
 def test_slices_have_units_points_and_lines(samples, fit):
-    ax = plot.slices(samples, fit)
+    ax = plotting.slices(samples, fit)
     assert isinstance(ax, Axes)
     assert "(°)" in ax.get_xlabel()
     assert ax.get_ylabel() == "BRDF (sr$^{-1}$)"
@@ -207,26 +207,26 @@ def test_the_scale_is_logarithmic_only_where_it_must_be(samples):
     phi_r = np.where(theta > 0, np.pi, 0.0)
     directions = Directions(0.5, 0.0, np.abs(theta), phi_r)
     flat = BRDFSamples(directions, np.full(29, 0.2))
-    ax = plot.slices(flat)
+    ax = plotting.slices(flat)
     assert ax.get_yscale() == "linear"
     assert ax.get_ylim()[0] == 0
     lobe = BRDFSamples(directions, 0.01 + np.exp(-(((theta - 0.5) / 0.1) ** 2)))
-    assert plot.slices(lobe).get_yscale() == "log"
+    assert plotting.slices(lobe).get_yscale() == "log"
 
 
 def test_samples_without_a_plane_of_incidence_are_refused():
     aside = BRDFSamples(Directions(0.5, 0.0, np.full(9, 0.7), np.pi / 2), np.full(9, 0.2))
     with pytest.raises(DataError, match="no incidence with samples near its plane"):
-        plot.slices(aside)
+        plotting.slices(aside)
 
 
 # ---------------------------------------------------------------- posterior
 
 
 def test_corner_is_a_triangle_with_symbols(draws_file):
-    from gonio.plot.summary import read_draws
+    from gonio.plotting.summary import read_draws
 
-    triangle = plot.corner(read_draws(draws_file), SHINY)
+    triangle = plotting.corner(read_draws(draws_file), SHINY)
     assert [len(row) for row in triangle] == [1, 2, 3, 4]
     assert all(isinstance(ax, Axes) for row in triangle for ax in row)
     assert triangle[3][0].get_xlabel() == r"$ρ_{\mathrm{d}}$"
@@ -244,13 +244,13 @@ def test_corner_states_the_unit_and_leaves_far_truth_out():
         "sigma": (("chain", "draw"), rng.normal(40, 1, (4, 300))),
     }
     draws = xr.Dataset(drawn, attrs={"model": "oren_nayar"})
-    triangle = plot.corner(draws, {"sigma": 80.0}, Figure(figsize=(4, 4)))
+    triangle = plotting.corner(draws, {"sigma": 80.0}, Figure(figsize=(4, 4)))
     assert triangle[1][1].get_xlabel() == "$σ$ (°)"
     assert triangle[1][1].get_xlim()[1] < 50
     with pytest.raises(DataError, match="do not name their model"):
-        plot.corner(xr.Dataset(drawn))
+        plotting.corner(xr.Dataset(drawn))
     with pytest.raises(DataError, match="hold no parameter of lambert"):
-        plot.corner(xr.Dataset(attrs={"model": "lambert"}))
+        plotting.corner(xr.Dataset(attrs={"model": "lambert"}))
 
 
 # ---------------------------------------------------------------- summary
@@ -265,7 +265,7 @@ def texts(figure: Figure) -> str:
 
 
 def test_summary_tells_what_was_measured(fit, samples, session, draws_file):
-    figure = plot.summary(fit, samples, session, draws_file, truth=SHINY)
+    figure = plotting.summary(fit, samples, session, draws_file, truth=SHINY)
     shown = texts(figure)
     assert "shiny thing on small12: Ward, elliptical Gaussian, exact" in shown
     assert "0.2000 ± 0.0020" in shown
@@ -282,7 +282,7 @@ def test_summary_tells_what_was_measured(fit, samples, session, draws_file):
 def test_summary_leaves_out_what_is_not_there(
     fit, samples, session, with_fit, with_samples, with_session, n_axes
 ):
-    figure = plot.summary(
+    figure = plotting.summary(
         fit if with_fit else None,
         samples if with_samples else None,
         session if with_session else None,
@@ -292,17 +292,17 @@ def test_summary_leaves_out_what_is_not_there(
 
 def test_summary_says_when_a_fit_has_not_converged(fit, samples):
     assert "the fit has not converged" in texts(
-        plot.summary(replace(fit, status="not_converged"), samples)
+        plotting.summary(replace(fit, status="not_converged"), samples)
     )
     poor = PosteriorSummary(10.0, 1.3, 90.0, 0.1, converged=False)
     assert "the posterior has not converged" in texts(
-        plot.summary(replace(fit, posterior=poor), samples)
+        plotting.summary(replace(fit, posterior=poor), samples)
     )
 
 
 def test_summary_of_nothing_is_refused():
     with pytest.raises(DataError, match="nothing to draw"):
-        plot.summary(None, None)
+        plotting.summary(None, None)
 
 
 @pytest.mark.parametrize(
@@ -325,9 +325,9 @@ def test_a_bound_is_told_with_the_unit():
 
 def test_the_style_ends_with_its_block(fit, samples):
     before = dict(mpl.rcParams)
-    with plot.style():
+    with plotting.style():
         assert mpl.rcParams["font.size"] == 8
-    plot.summary(fit, samples)
+    plotting.summary(fit, samples)
     assert dict(mpl.rcParams) == before
 
 
@@ -341,8 +341,8 @@ def test_the_same_picture_is_the_same_file(samples, tmp_path, suffix, start):
     files = []
     for name in "ab":
         figure = Figure(figsize=(3.0, 2.0), layout="constrained")
-        plot.slices(samples, axes=figure.subplots())
-        plot.save(figure, tmp_path / f"{name}.{suffix}")
+        plotting.slices(samples, axes=figure.subplots())
+        plotting.save(figure, tmp_path / f"{name}.{suffix}")
         files.append((tmp_path / f"{name}.{suffix}").read_bytes())
     assert files[0].startswith(start)
     assert files[0] == files[1]
@@ -477,7 +477,9 @@ def colours(ax: Axes) -> np.ndarray:
 
 
 def test_the_map_of_a_model_has_its_peak_at_the_mirror_direction():
-    axes = plot.hemisphere_map("ward", {"alpha_x": 0.1, "alpha_y": 0.1}, theta_i=np.radians([40.0]))
+    axes = plotting.hemisphere_map(
+        "ward", {"alpha_x": 0.1, "alpha_y": 0.1}, theta_i=np.radians([40.0])
+    )
     (mesh,) = axes[0].collections
     at = np.asarray(mesh.get_coordinates()).reshape(-1, 2)[int(np.argmax(mesh.get_array()))]
     # The equal-area map has the radius sqrt(2) sin(theta/2); the peak is a little beyond 40 deg.
@@ -487,20 +489,20 @@ def test_the_map_of_a_model_has_its_peak_at_the_mirror_direction():
 
 
 def test_all_maps_have_one_scale_and_one_colour_bar():
-    axes = plot.hemisphere_map("oren_nayar", {"sigma": 0.5})
+    axes = plotting.hemisphere_map("oren_nayar", {"sigma": 0.5})
     assert len({(ax.collections[0].norm.vmin, ax.collections[0].norm.vmax) for ax in axes}) == 1
     assert len(axes[0].figure.axes) == len(axes) + 1
     assert axes[0].figure.axes[-1].get_ylabel() == "BRDF $f$ (sr$^{-1}$)"
 
 
 def test_an_even_surface_is_shown_as_even():
-    axes = plot.hemisphere_map("lambert", {"rho": 0.5}, theta_i=[0.0])
+    axes = plotting.hemisphere_map("lambert", {"rho": 0.5}, theta_i=[0.0])
     norm = axes[0].collections[0].norm
     assert norm.vmin < 0.5 / np.pi < norm.vmax
 
 
 def test_the_map_of_samples_shows_every_sample_of_its_incidences(samples):
-    axes = plot.hemisphere_samples(samples)
+    axes = plotting.hemisphere_samples(samples)
     theta_i = np.degrees(np.broadcast_to(samples.directions.theta_i, len(samples)))
     phi_i = np.broadcast_to(samples.directions.phi_i, len(samples))
     for ax, angle in zip(axes, (10, 30, 50), strict=True):
@@ -510,7 +512,7 @@ def test_the_map_of_samples_shows_every_sample_of_its_incidences(samples):
 
 
 def test_residuals_tell_their_sign_by_shape_and_their_unit(samples, fit):
-    axes = plot.residual_map(samples, fit)
+    axes = plotting.residual_map(samples, fit)
     assert axes[0].figure.axes[-1].get_ylabel() == "measured − fitted (standard uncertainties)"
     for ax in axes:
         up, down = ax.collections
@@ -521,18 +523,18 @@ def test_residuals_tell_their_sign_by_shape_and_their_unit(samples, fit):
 
 
 def test_residuals_of_the_true_model_are_noise(samples, fit):
-    z = np.concatenate([colours(ax) for ax in plot.residual_map(samples, fit)])
+    z = np.concatenate([colours(ax) for ax in plotting.residual_map(samples, fit)])
     assert abs(z.mean()) < 0.3
     assert 0.7 < z.std() < 1.5
 
 
 def test_another_number_of_axes_is_refused(samples):
     with pytest.raises(ConfigurationError, match="1 axes were given for 3 maps; give one for each"):
-        plot.hemisphere_samples(samples, [Figure().subplots()])
+        plotting.hemisphere_samples(samples, [Figure().subplots()])
     with pytest.raises(ConfigurationError, match=r"theta_i = 1\.6 rad is not above the horizon"):
-        plot.hemisphere_map("ward", theta_i=[1.6])
+        plotting.hemisphere_map("ward", theta_i=[1.6])
     with pytest.raises(DataError, match="f is nowhere above 0"):
-        plot.hemisphere_map("lambert", {"rho": 0.0})
+        plotting.hemisphere_map("lambert", {"rho": 0.0})
 
 
 # ---------------------------------------------------------------- albedo
@@ -541,7 +543,7 @@ def test_another_number_of_axes_is_refused(samples):
 def test_the_albedo_curve_is_the_albedo():
     from gonio.checks import directional_albedo
 
-    ax = plot.albedo_curve("ward", SHINY)
+    ax = plotting.albedo_curve("ward", SHINY)
     planes = [line for line in ax.lines if len(line.get_xdata()) > 2]
     assert [line.get_label() for line in planes] == [
         r"$φ_{\mathrm{i}}$ = 0°", r"$φ_{\mathrm{i}}$ = 90°"
@@ -553,12 +555,12 @@ def test_the_albedo_curve_is_the_albedo():
 
 
 def test_the_albedo_curve_shows_what_is_claimed_and_what_is_possible():
-    labels = [line.get_label() for line in plot.albedo_curve("ward_gmd", SHINY).lines]
+    labels = [line.get_label() for line in plotting.albedo_curve("ward_gmd", SHINY).lines]
     assert "at most rho_d + rho_s" in labels
     # Oren and Nayar's approximation gives back more than it receives at small sigma.
-    labels = [line.get_label() for line in plot.albedo_curve("oren_nayar", {"rho": 1.0}).lines]
+    labels = [line.get_label() for line in plotting.albedo_curve("oren_nayar", {"rho": 1.0}).lines]
     assert "1: all light comes back" in labels
-    assert plot.albedo_curve("lambert", {"rho": 0.2}).get_ylim()[0] == 0
+    assert plotting.albedo_curve("lambert", {"rho": 0.2}).get_ylim()[0] == 0
 
 
 def luminance(rgb) -> float:
@@ -585,7 +587,7 @@ def test_the_solid_is_longest_along_the_mirror_direction(monkeypatch):
 
     drawn = []
     monkeypatch.setattr(Axes3D, "plot_surface", lambda ax, *xyz, **how: drawn.append(xyz))
-    ax = plot.lobe_solid("ward", {"alpha_x": 0.1, "alpha_y": 0.1}, theta_i=np.radians(40.0))
+    ax = plotting.lobe_solid("ward", {"alpha_x": 0.1, "alpha_y": 0.1}, theta_i=np.radians(40.0))
     corners = np.stack(drawn[0], axis=-1).reshape(-1, 3)
     r = np.linalg.norm(corners, axis=1)
     mirror = [-np.sin(np.radians(40)), 0, np.cos(np.radians(40))]
@@ -593,4 +595,4 @@ def test_the_solid_is_longest_along_the_mirror_direction(monkeypatch):
     assert r.max() <= 1
     assert "logarithmic" in ax.get_title()
     with pytest.raises(ConfigurationError, match=r"theta_i = 1\.6 rad is not above the horizon"):
-        plot.lobe_solid("ward", theta_i=1.6)
+        plotting.lobe_solid("ward", theta_i=1.6)

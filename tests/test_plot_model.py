@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from gonio import models, plot
+from gonio import models, plotting
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import Directions
-from gonio.plot.model import Radius, model_lobe, model_lobes
+from gonio.plotting.model import Radius, model_lobe, model_lobes
 
 
 @pytest.fixture(autouse=True)
@@ -113,7 +113,7 @@ def test_values_below_the_scale_lie_at_the_centre():
 
 def test_it_draws_on_given_axes():
     given = Figure().subplots()
-    assert plot.model_lobe(models.get("lambert"), ax=given) is given
+    assert plotting.model_lobe(models.get("lambert"), ax=given) is given
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 
 import gonio
 from gonio import models
+from gonio.calibration.effects.all_terms import _slope_terms
 from gonio.calibration.reflector import camera_angles, solid_angle_ratio
-from gonio.calibration.shared_terms import _slope_terms
 from gonio.errors import DataError
 from gonio.geometry import rotated, unit_vectors
 from gonio.instrument import Instrument, preset

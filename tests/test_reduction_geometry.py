@@ -8,7 +8,7 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.calibration.mapping import PixelMap
+from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.cli import main
 from gonio.errors import ConfigurationError
 from gonio.instrument import Instrument, preset

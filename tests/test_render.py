@@ -11,7 +11,7 @@ import pytest
 from gonio import cli, models
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import hemisphere_quadrature, unit_vectors
-from gonio.render import (
+from gonio.rendering import (
     SCENES,
     WHITE,
     Camera,
@@ -32,9 +32,9 @@ from gonio.render import (
     srgb,
     white_of,
 )
-from gonio.render.integrate import LARGEST
-from gonio.render.prefilter import outgoing
-from gonio.render.shapes import UPRIGHT, Box, Plate, trace
+from gonio.rendering.integrate import LARGEST
+from gonio.rendering.prefilter import outgoing
+from gonio.rendering.shapes import UPRIGHT, Box, Plate, trace
 
 DEG = math.pi / 180
 BRASS = {"rho_d": 0.1, "rho_s": 0.33, "alpha_x": 0.05, "alpha_y": 0.16}
@@ -667,7 +667,7 @@ def test_json_is_one_document_that_repeats_the_picture(run, tmp_path):
     )  # fmt: skip
     document = json.loads(out)
     assert code == 0
-    assert document["schema"] == "gonio.render/1"
+    assert document["schema"] == "gonio.rendering/1"
     assert document["parameters"] == {"rho": 0.7, "sigma": 40.0}
     assert document["light"]["size"] == [1.0, 1.0]
     assert document["size"] == [12, 17]

@@ -13,8 +13,8 @@ import pytest
 
 from gonio import models
 from gonio.geometry import unit_vectors
-from gonio.render import WHITE, Camera, Directional, Rectangle, Scene, render, scene
-from gonio.render.shapes import UPRIGHT, Piece, Revolution
+from gonio.rendering import WHITE, Camera, Directional, Rectangle, Scene, render, scene
+from gonio.rendering.shapes import UPRIGHT, Piece, Revolution
 
 DEG = math.pi / 180
 SIZE = 32

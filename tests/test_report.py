@@ -22,8 +22,8 @@ from gonio.geometry import Directions
 from gonio.instrument import preset
 from gonio.metadata import Plan
 from gonio.models import get
-from gonio.report import Inputs, budget, gather, lobe, page, posterior, residuals
-from gonio.report.markup import UNKNOWN
+from gonio.reporting import Inputs, budget, gather, lobe, page, posterior, residuals
+from gonio.reporting.markup import UNKNOWN
 
 TRUE = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.15, "alpha_y": 0.2}
 SECTIONS = ["parameters", "lobe", "residual", "goodness", "diagnosis", "posterior", "uncertainty",

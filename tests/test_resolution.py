@@ -286,7 +286,7 @@ def test_command_prints_a_table():
 
 
 def test_picture_of_an_instrument_that_sees_nothing():
-    from gonio.plot import resolution_map
+    from gonio.plotting import resolution_map
 
     figure = resolution_map(resolve(rig(sensor={"centre_offset_px": (9000.0, 0.0)}), **QUICK))
     assert [ax.get_title() for ax in figure.axes[:2]] == [

@@ -6,7 +6,7 @@ from virtual import Drawn, Remembered, images, small
 
 import gonio
 from gonio import models
-from gonio.fitting.problem import Problem
+from gonio.fitting.problem.problem import Problem
 from gonio.metadata import Plan
 from gonio.samples import FLAG_ENTRY, BRDFSamples
 

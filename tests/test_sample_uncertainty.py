@@ -10,9 +10,9 @@ from virtual import Drawn, Remembered, images, small
 
 import gonio
 from gonio import models
-from gonio.calibration.exposure import Rate
-from gonio.calibration.standard import brdf, reference, standard_brdf
-from gonio.fitting.problem import Problem
+from gonio.calibration.frames.exposure import Rate
+from gonio.calibration.frames.standard import brdf, reference, standard_brdf
+from gonio.fitting.problem.problem import Problem
 from gonio.geometry import angles
 from gonio.metadata import Plan
 from gonio.samples import BRDFSamples

@@ -5,8 +5,8 @@ import pytest
 from virtual import Drawn, images, small
 
 import gonio
-from gonio.calibration.exposure import Rate, merge
-from gonio.calibration.standard import (
+from gonio.calibration.frames.exposure import Rate, merge
+from gonio.calibration.frames.standard import (
     brdf,
     describe,
     irradiance_ratio,

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from gonio.geometry import FloatArray, angles, unit_vectors
-from gonio.plot import save, style
-from gonio.plot.style import BLUE, GREEN, VERMILLION
+from gonio.plotting import save, style
+from gonio.plotting.style import BLUE, GREEN, VERMILLION
 
 LIGHT = np.radians([40.0, 155.0])  # theta_i, phi_i
 VIEWER = np.radians([70.0, 35.0])  # theta_r, phi_r

@@ -73,7 +73,7 @@ def page(name: str, errata: str = "") -> str:
         f"![Polar diagram of {name} in the plane of incidence]({picture(model)})",
         f"f at {values_text(model, chosen)}. The light comes along the arrows; the distance from "
         "the centre is f in sr⁻¹, cosine not included, so that a Lambertian surface is a half "
-        "circle. `gonio.plot.model_lobes` draws it for other parameters.",
+        "circle. `gonio.plotting.model_lobes` draws it for other parameters.",
         "## Examples",
         "On the command line:",
         command_example(model, chosen),
@@ -426,7 +426,7 @@ def draw(name: str, folder: Path) -> None:
     """Write the lobe of a model as a picture into a folder."""
     import matplotlib.pyplot as plt
 
-    from gonio.plot import model_lobes, save
+    from gonio.plotting import model_lobes, save
 
     model = models.get(name)
     (ax, *_) = model_lobes(model, shown(model))

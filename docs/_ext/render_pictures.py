@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 
 from gonio import materials
 from gonio.geometry import FloatArray
-from gonio.plot import save, style
-from gonio.plot.style import BLUE, VERMILLION
-from gonio.render import Directional, cross_section, plate, plate_reference, render, scene, srgb
+from gonio.plotting import save, style
+from gonio.plotting.style import BLUE, VERMILLION
+from gonio.rendering import Directional, cross_section, plate, plate_reference, render, scene, srgb
 
 DEG = math.pi / 180
 WIDTH = 4.6  # inches

@@ -212,7 +212,7 @@ def command(
 
 
 def _print_board(board: Board, path: Path) -> None:
-    from gonio.plot.board import save_board
+    from gonio.plotting.board import save_board
 
     save_board(board, path)
     width, height = (side + 2 * board.margin_mm for side in board.size_mm)

@@ -10,9 +10,9 @@ import rich_click as click
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from gonio.calibration.alignment import Alignment
-    from gonio.calibration.mirror_task import Length
-    from gonio.calibration.spots import Spot
+    from gonio.calibration.dome.alignment import Alignment
+    from gonio.calibration.dome.spot_residuals import Length
+    from gonio.calibration.dome.spots import Spot
     from gonio.session import Session
 
 
@@ -61,10 +61,10 @@ def command(
     of R. Which figures the spots determine is said, the others are left as they were: lamp on both
     sides and a wedge of 10 deg or more, turned to three azimuths, determine all.
     """
-    from gonio.calibration import geometry_file
-    from gonio.calibration.alignment import fit
-    from gonio.calibration.mapping import PixelMap
-    from gonio.calibration.spots import find_spots
+    from gonio.calibration.dome import geometry_file
+    from gonio.calibration.dome.alignment import fit
+    from gonio.calibration.dome.pixel_map import PixelMap
+    from gonio.calibration.dome.spots import find_spots
     from gonio.cli.options import check_target
     from gonio.session import Session
 
@@ -95,7 +95,7 @@ def command(
 
 
 def _length(name: str, value: float | None, u: float | None) -> Length | None:
-    from gonio.calibration.mirror_task import Length
+    from gonio.calibration.dome.spot_residuals import Length
 
     if value is None and u is None:
         return None
@@ -124,7 +124,7 @@ def _check_alike(sessions: list[Session]) -> None:
 
 
 def _tell(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bool) -> None:
-    from gonio.calibration.alignment import UNITS
+    from gonio.calibration.dome.alignment import UNITS
     from gonio.cli.options import echo_json
 
     units = {name: UNITS.get(name, "mm") for name in alignment.values}

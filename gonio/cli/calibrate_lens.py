@@ -11,7 +11,7 @@ from gonio.cli.boards import board_options, chosen_board
 from gonio.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
-    from gonio.calibration.lens_photos import LensFromPhotos
+    from gonio.calibration.lens.from_photos import LensFromPhotos
 
 _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 
@@ -82,9 +82,9 @@ def command(
     at the rim too, and tilted. The lens is Kannala and Brandt's; OpenCV's own calibrations of the
     same corners are printed beside it.
     """
-    from gonio.calibration import lens_file
-    from gonio.calibration.lens_cross_check import cross_check
-    from gonio.calibration.lens_photos import calibrate_lens
+    from gonio.calibration.lens import lens_file
+    from gonio.calibration.lens.cross_check import cross_check
+    from gonio.calibration.lens.from_photos import calibrate_lens
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
 
@@ -144,15 +144,15 @@ def _check_picture(picture: Path | None) -> None:
     if picture is None:
         return
     from gonio.cli.options import check_target
-    from gonio.plot.style import format_of
+    from gonio.plotting.style import format_of
 
     format_of(picture)
     check_target(picture)
 
 
 def _draw(found: LensFromPhotos, picture: Path) -> None:
-    from gonio.plot import save
-    from gonio.plot.lens import residual_map
+    from gonio.plotting import save
+    from gonio.plotting.lens import residual_map
 
     save(residual_map(found), picture)
     click.echo(f"written to {picture}", err=True)

@@ -12,7 +12,7 @@ from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from gonio.fitting.compare import Comparison, Entry, Score
+    from gonio.fitting.comparison.compare import Comparison, Entry, Score
 
 LARGE = 1e5  # from which a number is written with an exponent
 
@@ -61,7 +61,7 @@ def command(
     """
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
-    from gonio.fitting.compare import compare
+    from gonio.fitting.comparison.compare import compare
     from gonio.models import get
 
     models = [get(name) for name in _names(model_names)]
@@ -172,7 +172,7 @@ def _remarks(entry: Entry) -> list[str]:
 
 
 def _doubtful(entry: Entry) -> bool:
-    from gonio.fitting.criteria import MAX_K_HAT
+    from gonio.fitting.comparison.predictive_scores import MAX_K_HAT
 
     return entry.loo is not None and not (entry.loo_k_hat or 0.0) <= MAX_K_HAT
 

@@ -400,7 +400,7 @@ def _judged(bench: Bench, session: Virtual, domes: Domes) -> tuple[Candidates, B
 
     Its takes of standard and background are in its variances already.
     """
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.pilot import AVERAGED
     from gonio.fitting.design import Candidates
 
@@ -442,7 +442,7 @@ def _trimmed(
     bench: Bench, plan: Plan, merit: Merit, reached: Callable[[Expected], bool] | None
 ) -> tuple[Plan, Candidates, BRDFSamples]:
     """The plan without the exposures that no pixel needs, and what its images say."""
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.pilot import FIELDS, Domes, seen
     from gonio.cli.progress import progress
     from gonio.errors import DataError
@@ -484,10 +484,10 @@ def _verified(found: Found, n: int) -> dict[str, Any]:
     """Scatter of fits to simulated sessions against what was expected of it."""
     import numpy as np
 
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.pilot import CONSTANT
     from gonio.cli.progress import progress
-    from gonio.fitting.least_squares import fit
+    from gonio.fitting.fit import fit
     from gonio.metadata import Channel
 
     bench = found.bench

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gonio.models import Model
     from gonio.samples import BRDFSamples
 
-# As `gonio.fitting.engines` and `losses` name them, which are slow to load.
+# As `gonio.fitting.minimum.engines` and `losses` name them, which are slow to load.
 ENGINES = ("gauss_newton", "slsqp", "lbfgs", "mma", "bobyqa", "sbplx", "mlsl")
 LOSSES = ("chi2", "log", "cube_root", "student_t")
 _HINT = "Or fit them together with --share NAME,..., the parameters that they have in common."
@@ -119,8 +119,8 @@ def command(
     from gonio.cli import joint
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
-    from gonio.fitting.least_squares import fit
-    from gonio.fitting.nuisance import parsed
+    from gonio.fitting.fit import fit
+    from gonio.fitting.problem.nuisance import parsed
     from gonio.models import get
 
     model = get(model_name)
@@ -213,7 +213,7 @@ def _truths(
     model: Model,
 ) -> list[dict[str, float] | None]:
     """True parameters of every part, in file units, where the inputs are simulated sessions."""
-    from gonio.fitting.joint import split
+    from gonio.fitting.problem.joint import split
 
     found: list[dict[str, float] | None] = []
     raw = {name: _truth(truth or path, model, asked=truth is not None)

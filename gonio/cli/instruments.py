@@ -196,7 +196,7 @@ def _resolution(rig: Instrument, as_json: bool, map_to: Path | None) -> None:
     from gonio.cli.options import check_target, echo_json
 
     if map_to is not None:
-        from gonio.plot.style import format_of
+        from gonio.plotting.style import format_of
 
         format_of(map_to)
         check_target(map_to)
@@ -209,7 +209,7 @@ def _resolution(rig: Instrument, as_json: bool, map_to: Path | None) -> None:
     else:
         _show_resolution(document)
     if map_to is not None:
-        from gonio.plot import resolution_map, save
+        from gonio.plotting import resolution_map, save
 
         save(resolution_map(found), map_to)
         click.echo(f"written to {map_to}", err=True)

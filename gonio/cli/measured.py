@@ -132,7 +132,7 @@ def read_source(source: Path, select: dict[str, str], threads: int | None) -> BR
 
     if not source.is_dir():
         return formats.read(source, select=select)
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.progress import progress
     from gonio.session import Session
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gonio.calibration.exposure import SATURATED
+from gonio.calibration.frames.exposure import SATURATED
 from gonio.geometry import FloatArray, unit_vectors
 from gonio.instrument import Instrument
 from gonio.instrument.images import Fixed, Images, Surface

@@ -109,7 +109,7 @@ def command(
             f"as {', '.join(k for k, what in KINDS.items() if content.has(what))}.",
             value=kind,
         )
-    from gonio.plot import save
+    from gonio.plotting import save
 
     save(_drawn(kind, content), output)
     click.echo(f"written to {output}", err=True)
@@ -118,7 +118,7 @@ def command(
 def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str, ...]) -> None:
     """Refuse what cannot be drawn or written before matplotlib is loaded."""
     from gonio.cli.options import check_target
-    from gonio.plot.style import format_of
+    from gonio.plotting.style import format_of
 
     if kind is not None and kind not in KINDS:
         raise unknown_name("kind of picture", kind, KINDS)
@@ -164,7 +164,7 @@ def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
     """A fit with what belongs to it; the samples must be there, the rest may be missing."""
     from gonio import models
     from gonio.cli.joint import part_chooser
-    from gonio.report.inputs import gather
+    from gonio.reporting.inputs import gather
 
     found = gather(source, _reduced, part_chooser(source, selections, middle=True))
     if found.samples is None:
@@ -197,7 +197,7 @@ def _measured(path: Path, select: Mapping[str, str]) -> tuple[BRDFSamples, Sessi
 
 
 def _reduced(session: Session) -> BRDFSamples:
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.progress import progress
 
     with progress(f"reducing {session.path.name or session.path}", "images") as callback:
@@ -241,24 +241,24 @@ def _find(name: str, beside: Path) -> Path | None:
 
 def _drawn(kind: str, content: _Content) -> Figure:
     """The figure of one kind; `content` has what the kind is made of."""
-    from gonio import plot
+    from gonio import plotting
 
     fit, samples, session = content.fit, content.samples, content.session
     model, values = content.model, content.parameters
     figures: dict[str, Callable[[], Figure]] = {}
     if samples is not None:
-        figures["summary"] = lambda: plot.summary(fit, samples, session, content.draws)
-        figures["slices"] = lambda: _figure(plot.slices(samples, fit))
-        figures["hemisphere"] = lambda: _figure(*plot.hemisphere_samples(samples))
+        figures["summary"] = lambda: plotting.summary(fit, samples, session, content.draws)
+        figures["slices"] = lambda: _figure(plotting.slices(samples, fit))
+        figures["hemisphere"] = lambda: _figure(*plotting.hemisphere_samples(samples))
         if fit is not None:
-            figures["residuals"] = lambda: _figure(*plot.residual_map(samples, fit))
+            figures["residuals"] = lambda: _figure(*plotting.residual_map(samples, fit))
     if session is not None:
-        figures["frames"] = lambda: _figure(*plot.frames(session))
+        figures["frames"] = lambda: _figure(*plotting.frames(session))
     if model is not None:
-        figures["lobe"] = lambda: _figure(*plot.model_lobes(model, values))
-        figures["solid"] = lambda: _figure(plot.lobe_solid(model, values))
-        figures["albedo"] = lambda: _figure(plot.albedo_curve(model, values))
-        figures.setdefault("hemisphere", lambda: _figure(*plot.hemisphere_map(model, values)))
+        figures["lobe"] = lambda: _figure(*plotting.model_lobes(model, values))
+        figures["solid"] = lambda: _figure(plotting.lobe_solid(model, values))
+        figures["albedo"] = lambda: _figure(plotting.albedo_curve(model, values))
+        figures.setdefault("hemisphere", lambda: _figure(*plotting.hemisphere_map(model, values)))
     return figures[kind]()
 
 

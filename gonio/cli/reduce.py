@@ -69,7 +69,7 @@ def command(
     and averaged in cells, over which a fit integrates, with the lamp's cone. The file is written
     whole or not at all.
     """
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.session import Session

@@ -12,7 +12,7 @@ from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from gonio.models import Model
-    from gonio.render import Camera, Light, Scene
+    from gonio.rendering import Camera, Light, Scene
 
 LIGHTS = ("directional", "area", "environment")
 EDGE = 256  # pixels of the longer edge where no size is given
@@ -201,8 +201,8 @@ def command(
     """
     from gonio.cli.options import check_target, echo_json
     from gonio.cli.progress import progress
-    from gonio.render import render, save_picture, scene, white_of
-    from gonio.render.pictures import check_name
+    from gonio.rendering import render, save_picture, scene, white_of
+    from gonio.rendering.pictures import check_name
 
     drawn = scene(scene_name, floor=floor)
     output = Path(f"{scene_name}.png") if output is None else output
@@ -222,7 +222,7 @@ def command(
         )  # fmt: skip
     top = white_of(image) if white is None else white
     document = {
-        "schema": "gonio.render/1",
+        "schema": "gonio.rendering/1",
         "scene": scene_name,
         "floor": floor,
         "model": chosen.name,
@@ -257,7 +257,7 @@ def command(
 
 
 def _tell(document: dict[str, Any], suffix: str, bounces: int) -> None:
-    from gonio.render.pictures import tone_text
+    from gonio.rendering.pictures import tone_text
 
     columns, rows = document["size"]
     light = "direct light only" if not bounces else f"light of up to {bounces} bounces as well"
@@ -336,7 +336,7 @@ def _light(
     drawn: Scene,
 ) -> Light:
     from gonio.errors import unknown_name
-    from gonio.render import SKIES, WHITE, Directional, Environment, Rectangle, read_map, sky
+    from gonio.rendering import SKIES, WHITE, Directional, Environment, Rectangle, read_map, sky
 
     if name not in LIGHTS:
         raise unknown_name("light", name, LIGHTS)
@@ -385,7 +385,7 @@ def _camera(
     projection: str | None,
     fov: float,
 ) -> Camera:
-    from gonio.render import Camera
+    from gonio.rendering import Camera
 
     own: Any = projection or drawn.projection
     return Camera(*_direction("r", theta_r, phi_r, drawn.view), own, math.radians(fov))

@@ -47,7 +47,7 @@ def command(source: Path, output: Path | None, selections: tuple[str, ...]) -> N
         )
     check_target(output)
     from gonio.files import write_text
-    from gonio.report import gather, page
+    from gonio.reporting import gather, page
 
     inputs = gather(source, _reduce, part_chooser(source, selections))
     write_text(output, page(inputs))
@@ -57,7 +57,7 @@ def command(source: Path, output: Path | None, selections: tuple[str, ...]) -> N
 
 
 def _reduce(session: Session) -> BRDFSamples:
-    from gonio.calibration.reduction import reduce
+    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.progress import progress
 
     with progress(f"reducing {session.path.name or session.path}", "images") as callback:

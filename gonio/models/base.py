@@ -48,7 +48,7 @@ class Parameter:
     start : tuple of float, optional
         Range that a fit searches for its start; the whole range where not given.
     prior : str
-        Prior of a posterior, as `gonio.fitting.priors` reads it, in the unit of files.
+        Prior of a posterior, as `gonio.fitting.posterior.priors` reads it, in the unit of files.
     """
 
     name: str

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.calibration.exposure import SATURATED
-from gonio.calibration.faults import of_float_frame
+from gonio.calibration.faults.session import of_float_frame
+from gonio.calibration.frames.exposure import SATURATED
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import FloatArray
 from gonio.metadata import Camera

@@ -117,7 +117,7 @@ def _lens_of_file(
     folder: Path, path: Path, lens: dict[str, Any]
 ) -> tuple[LensFile, LensCalibration]:
     """The lens that [lens] names by `file`."""
-    from gonio.calibration import lens_file
+    from gonio.calibration.lens import lens_file
 
     others = sorted(set(lens) - {"file"})
     if others:

@@ -1,0 +1,1 @@
+"""Sources of error that samples share."""

@@ -1,0 +1,101 @@
+"""Light that reaches the sample a second time, by way of dome and lens.
+
+The irradiance of a surface of albedo rho grows by 1 + g rho, and eq. (2) returns
+f (1 + g rho)/(1 + g rho_std): a dark sample comes out low by g rho_std. Where g is known with its
+uncertainty the reduction takes that back; the sample's albedo comes from its own image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gonio.geometry import FloatArray
+from gonio.metadata import Metadata
+from gonio.samples import SharedTerm
+
+if TYPE_CHECKING:
+    from gonio.calibration.reduction.reduce import Part
+
+NAME = "multi-bounce"
+MEANING = "light that reaches the sample twice"
+
+
+def is_corrected(metadata: Metadata) -> bool:
+    """Whether the metadata say enough; light through a sheet goes other ways."""
+    limits = metadata.limits
+    known = bool(limits.multibounce) and limits.u_multibounce is not None
+    return known and metadata.plan.mode == "reflection"
+
+
+def image_albedo(parts: Sequence[Part]) -> tuple[float, float]:
+    """Albedo that one image shows for its incidence, and its standard uncertainty.
+
+    The integral of f cos(theta_r) over the cells; what no cell sees, beyond the rim and in masked
+    pixels, is given the median f of the image, and half of that as its uncertainty.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        The image's cells.
+    """
+    value = np.concatenate([part.means[0] for part in parts])
+    if not len(value):
+        return 0.0, 1.0
+    cos = np.concatenate([part.centroid[:, 2] for part in parts])
+    projected = cos * np.concatenate([part.solid_angle for part in parts])
+    unseen = max(np.pi - float(np.sum(projected)), 0.0) * max(float(np.median(value)), 0.0)
+    return float(np.clip(np.sum(projected * value) + unseen, 0.0, 1.0)), 0.5 * unseen
+
+
+def corrected(metadata: Metadata, parts: list[Part]) -> list[Part]:
+    """The cells with f times (1 + g rho_std)/(1 + g rho), and what is left of the error noted."""
+    if not is_corrected(metadata):
+        return parts
+    g, u_g = metadata.limits.multibounce or 0.0, metadata.limits.u_multibounce or 0.0
+    rho_std = metadata.standard.reflectance
+    images: dict[tuple[int, int, int], list[Part]] = {}
+    for part in parts:
+        images.setdefault((part.channel, part.incidence, part.rotation), []).append(part)
+    known = {image: image_albedo(own) for image, own in images.items()}
+    done = []
+    for part in parts:
+        seen, u_rho = known[part.channel, part.incidence, part.rotation]
+        # seen = rho (1 + g rho)/(1 + g rho_std), of which rho is the positive root.
+        both = seen * (1 + g * rho_std)
+        rho = 2 * both / (1 + np.sqrt(1 + 4 * g * both))
+        factor = (1 + g * rho_std) / (1 + g * rho)
+        # f is linear in the counts: its variances scale with the square.
+        means = part.means * np.array([factor, factor**2, factor**2, factor])[:, None]
+        left = np.hypot(u_g * (rho_std - rho), g * u_rho)
+        done.append(replace(part, means=means, stray=part.stray * [factor, 1.0], left=float(left)))
+    return done
+
+
+def terms(metadata: Metadata, parts: list[Part]) -> list[SharedTerm]:
+    """The shared error: what the correction leaves, or all of it where there is none."""
+    g = metadata.limits.multibounce
+    if not g:
+        return []
+    if not is_corrected(metadata):
+        # For any albedo the error is at most this.
+        return [SharedTerm(NAME, MEANING, g * metadata.standard.reflectance)]
+    left: FloatArray = np.repeat(
+        [part.left for part in parts], [part.means.shape[1] for part in parts]
+    )
+    largest = float(left.max(initial=0.0))
+    if largest == 0:
+        return []
+    return [SharedTerm(NAME, f"{MEANING}, after correction", largest, profile=left / largest)]
+
+
+def notes(metadata: Metadata) -> tuple[str, ...]:
+    """What was done about it, for the history."""
+    limits = metadata.limits
+    if is_corrected(metadata):
+        return (f"multi-bounce corrected with g = {limits.multibounce:g} +- "
+                f"{limits.u_multibounce:g}",)  # fmt: skip
+    return ()

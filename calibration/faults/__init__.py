@@ -1,0 +1,1 @@
+"""What is wrong with the frames of a session."""

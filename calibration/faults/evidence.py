@@ -1,0 +1,96 @@
+"""What the images of a session leave behind for the search for faults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.calibration.faults.frame_statistics import Figures, Regions, figures
+from gonio.calibration.frames.exposure import Rate
+from gonio.calibration.frames.standard import Reference
+from gonio.geometry import FloatArray
+from gonio.metadata import Metadata
+
+Severity = Literal["error", "warning"]
+Image = tuple[str, int, int]  # role, take, incidence
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong with a session.
+
+    Parameters
+    ----------
+    code : str
+        Name of the fault, the same in every session.
+    severity : {"error", "warning"}
+        An error stops the reduction.
+    text : str
+        One sentence that names the frame and the figure.
+    """
+
+    code: str
+    severity: Severity
+    text: str
+
+
+class Evidence:
+    """What the images of a session leave behind when they are read.
+
+    Parameters
+    ----------
+    metadata : Metadata
+    theta_r, phi_r : ndarray, shape (rows, columns)
+        Where the pixels look, radians, frame of the laboratory; NaN outside the image circle.
+    """
+
+    def __init__(self, metadata: Metadata, theta_r: FloatArray, phi_r: FloatArray) -> None:
+        self.metadata = metadata
+        usable = np.radians(metadata.geometry.usable_theta_r_deg)
+        self.regions = Regions.of(theta_r, phi_r, usable)
+        self.circle = np.isfinite(theta_r)
+        self.images: dict[Image, Figures] = {}
+        self.bad: dict[str, dict[int, NDArray[np.bool_]]] = {"dead": {}, "hot": {}}
+        self.background: Rate | None = None
+
+    def see(
+        self, role: str, take: int, incidence: int, bracket: NDArray[np.uint16], rate: Rate
+    ) -> None:
+        """Take the figures of one image: images may come in any order, from any thread."""
+        if (role, take, incidence) == ("background", 0, 0):
+            self.background = rate
+        self.images[role, take, incidence] = figures(bracket, rate, self.metadata, self.regions)
+
+    def see_reference(self, incidence: int, reference: Reference) -> None:
+        """Take the dead and hot pixels of one incidence."""
+        self.bad["dead"][incidence] = reference.dead & self.regions.inside
+        self.bad["hot"][incidence] = reference.hot & self.regions.inside
+
+    def of(self, *roles: str) -> list[tuple[Image, Figures]]:
+        """The images of these roles, in order."""
+        return [(key, self.images[key]) for key in sorted(self.images) if key[0] in roles]
+
+    def theta_i(self, image: Image) -> float:
+        """Incidence of an image, radians."""
+        return float(np.radians(self.metadata.plan.incidences(image[0])[image[2]]))
+
+    def name(self, image: Image, exposure: int | None = None) -> str:
+        """What an image, or one of its frames, is called in a sentence."""
+        plan = self.metadata.plan
+        role, take, _ = image
+        text = f"{role} at {np.degrees(self.theta_i(image)):g} deg"
+        if role == "sample" and len(plan.rotations_deg) > 1:
+            text += f", rotation {plan.rotations_deg[take]:g} deg"
+        elif role != "sample" and plan.repeats > 1:
+            text += f", take {take + 1}"
+        if exposure is not None:
+            text += f", {plan.exposures_s[exposure] * 1e3:g} ms"
+        return text
+
+    def mean(self, role: str, incidence: int) -> FloatArray | None:
+        """Coarse image of a role at an incidence, mean of its takes; None where there is none."""
+        takes = [f.rate for (_, _, i), f in self.of(role) if i == incidence]
+        return np.asarray(np.mean(takes, axis=0)) if takes else None

@@ -1,0 +1,1 @@
+"""Counts to rates, and Ward's eq. (2)."""

@@ -1,0 +1,1 @@
+"""The fisheye lens and its calibration from photographs."""

@@ -1,0 +1,1 @@
+"""What a fit says of its data and of its model."""

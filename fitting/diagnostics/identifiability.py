@@ -1,0 +1,393 @@
+"""What the data say of each parameter, what they cannot tell apart, and what would mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.fitting.diagnostics.next_measurement import Mending, facts, mend
+from gonio.fitting.minimum import curvature
+from gonio.fitting.minimum.gauss_newton import Optimum, minimise, pinned_at
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.result import plain
+from gonio.fitting.uncertainty.information import information, thinned
+from gonio.geometry import FloatArray
+from gonio.kernels.boxed import UNDETERMINED
+
+STRONG = 0.95  # correlation that is told
+INFLATED = 10.0  # growth of an uncertainty by exchange that makes it a weak one
+TAKES_PART = 0.1  # component of a unit vector above which a parameter is part of an exchange
+MOST = 20_000  # samples from which the bound is computed
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of the ellipsoid of uncertainty, parameters in units of their own information.
+
+    Parameters
+    ----------
+    information : float
+        Eigenvalue of the information scaled to a unit diagonal: 1 where nothing is exchanged,
+        0 where a change along the axis leaves every sample as it is.
+    change : mapping of str to float
+        Change of the parameters along it in file units; the largest relative one is 10 %.
+    """
+
+    information: float
+    change: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the data say of the parameters.
+
+    Parameters
+    ----------
+    parameters : tuple of str
+        Those that are free, in the order of `correlation`.
+    correlation : list of lists of float or None
+        Of the independent errors; None beside a parameter without information.
+    bound : mapping of str to float or None
+        Cramer and Rao's bound on the standard uncertainty, file units, shared errors
+        marginalised: no unbiased estimator does better. None where there is no information or
+        the noise is unknown.
+    alone : mapping of str to float or None
+        The same by the independent errors if all other parameters were known.
+    axes : tuple of Axis
+        Weakest first.
+    not_identified, hardly_identified : tuple of str
+        No finite uncertainty; or one that is larger than the value and at least ten times what
+        it would be without exchange.
+    correlated : tuple of (str, str, float)
+        Pairs with a correlation beyond 0.95, strongest first.
+    causes : tuple of str
+        One sentence for each thing that is not identified.
+    mending : Mending or None
+        The measurement that would help most.
+    """
+
+    parameters: tuple[str, ...]
+    correlation: list[list[float | None]]
+    bound: Mapping[str, float | None]
+    alone: Mapping[str, float | None]
+    axes: tuple[Axis, ...]
+    not_identified: tuple[str, ...]
+    hardly_identified: tuple[str, ...]
+    correlated: tuple[tuple[str, str, float], ...]
+    causes: tuple[str, ...]
+    mending: Mending | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a JSON document."""
+        return dict(plain(self))
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader must know; nothing where everything is identified."""
+        if not (self.not_identified or self.hardly_identified):
+            return []
+        told = list(self.causes)
+        if self.mending is not None and told:
+            told[-1] += f" {self.mending.text}"
+        return told
+
+
+def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifiability:
+    """Identifiability of a problem's parameters at its minimum.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the weights that the minimum was found with.
+    optimum : Optimum
+    noise_scale : float
+        Factor on the independent uncertainties; 0 where the model leaves no residuals.
+
+    Notes
+    -----
+    The scaled information is D^-1/2 J^T W J D^-1/2 with D the diagonal of J^T W J. Its eigenvectors
+    with small eigenvalues are the exchanges that the data do not see, whatever the units of the
+    parameters (Belsley, Kuh & Welsch 1980, Regression Diagnostics, ch. 3).
+
+    Examples
+    --------
+    >>> from gonio.geometry import Directions
+    >>> from gonio.models import get
+    >>> from gonio.samples import BRDFSamples
+    >>> samples = BRDFSamples(Directions(0.3, 0.0, np.linspace(0, 1.2, 20), 0.0), np.full(20, 0.1))
+    >>> problem = Problem.from_samples(samples, get("lambert"))
+    >>> identify(problem, minimise(problem, np.array([0.5])), 0.01).not_identified
+    ()
+    """
+    parameters = problem.parameters
+    h = optimum.curvature
+    informed = np.asarray(np.diag(h) > 0)
+    free = np.flatnonzero(optimum.free)
+    seen = free[informed[free]]
+    values, vectors, scale = curvature.axes(h, seen)
+    missing = {int(k) for k in free if not informed[k]}
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value < UNDETERMINED:
+            missing |= set(seen[np.abs(vector) > TAKES_PART].tolist())
+    hard = _hardly(problem, optimum, seen, missing, noise_scale)
+    causes = _causes(problem, optimum, seen, values, vectors, scale, missing, hard)
+    correlation, pairs = _correlation(problem, h, free, missing)
+    curable = [
+        k for k in sorted(missing | hard) if informed[k] or not _depends_on(problem, optimum, k)
+    ]
+    if not curable and pairs:
+        order = [q.name for q in parameters]
+        curable = sorted({order.index(name) for a, b, _ in pairs for name in (a, b)})
+    mending = mend(problem, optimum, curable, noise_scale) if curable else None
+    names = tuple(parameters[k].name for k in range(len(parameters)))
+    return Identifiability(
+        parameters=tuple(names[k] for k in free),
+        correlation=correlation,
+        bound=_bounds(problem, optimum, free, missing, noise_scale),
+        alone={names[k]: _alone(problem, h, int(k), noise_scale) for k in range(len(parameters))},
+        axes=tuple(
+            Axis(float(max(v, 0.0)), _change(problem, optimum, seen, vector / scale))
+            for v, vector in zip(values, vectors.T, strict=True)
+        ),
+        not_identified=tuple(names[k] for k in sorted(missing)),
+        hardly_identified=tuple(names[k] for k in sorted(hard)),
+        correlated=pairs,
+        causes=tuple(causes),
+        mending=mending,
+    )
+
+
+def profile(problem: Problem, optimum: Optimum, j: int, points: FloatArray) -> FloatArray:
+    """Smallest chi-squared with parameter j held at each of the points, the others free.
+
+    Parameters
+    ----------
+    problem : Problem
+    optimum : Optimum
+    j : int
+        Number of the parameter.
+    points : ndarray, shape (K,)
+        Values inside the bounds, in the unit of Python.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Each point starts from the minimum of its neighbour towards the optimum.
+    """
+    chi2 = np.empty(len(points))
+    order = np.argsort(points)
+    at = int(np.searchsorted(points[order], optimum.p[j]))
+    for run in (order[at:], order[:at][::-1]):
+        start = optimum.p
+        for k in run:
+            start = np.where(np.arange(len(start)) == j, points[k], start)
+            held = minimise(pinned_at(problem, j, float(points[k])), start, search=False)
+            chi2[k], start = held.chi2, held.p
+    return chi2
+
+
+# ---------------------------------------------------------------- information
+
+
+def _known(free: NDArray[np.int64], missing: set[int]) -> NDArray[np.int64]:
+    return np.array([k for k in free if k not in missing], dtype=np.int64)
+
+
+def _hardly(
+    problem: Problem, optimum: Optimum, seen: NDArray[np.int64], missing: set[int], noise: float
+) -> set[int]:
+    """Parameters that other ones replace so well that little is known of them."""
+    index = _known(seen, missing)
+    if len(index) == 0:
+        return set()
+    h = optimum.curvature
+    variance = np.diag(curvature.inverse(h, index)) * noise**2
+    found = set()
+    for k, v in zip(index.tolist(), variance, strict=True):
+        q = problem.parameters[k]
+        inflation = v * h[k, k] / noise**2 if noise > 0 else 0.0
+        size = min(max(abs(float(optimum.p[k])), 1e-3 * (q.upper - q.lower)), q.upper - q.lower)
+        if np.sqrt(v) > size and inflation > INFLATED**2:
+            found.add(k)
+    return found
+
+
+def _correlation(
+    problem: Problem, h: FloatArray, free: NDArray[np.int64], missing: set[int]
+) -> tuple[list[list[float | None]], tuple[tuple[str, str, float], ...]]:
+    index = _known(free, missing)
+    place = {int(k): n for n, k in enumerate(index)}
+    r = np.eye(0)
+    if len(index):
+        inverse = curvature.inverse(h, index)
+        sd = np.sqrt(np.diag(inverse))
+        r = np.clip(inverse / np.outer(sd, sd), -1, 1)
+
+    def of(a: int, b: int) -> float | None:
+        if a not in place or b not in place:
+            return None
+        return round(float(r[place[a], place[b]]), 6)
+
+    rows = [[of(int(a), int(b)) for b in free] for a in free]
+    names = [q.name for q in problem.parameters]
+    pairs = [
+        (names[a], names[b], round(float(r[place[a], place[b]]), 6))
+        for a in place
+        for b in place
+        if a < b and abs(r[place[a], place[b]]) > STRONG
+    ]
+    return rows, tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
+
+
+def _bounds(
+    problem: Problem,
+    optimum: Optimum,
+    free: NDArray[np.int64],
+    missing: set[int],
+    noise_scale: float,
+) -> dict[str, float | None]:
+    """Cramer and Rao's bound; None without information or noise, and at a bound."""
+    bounds: dict[str, float | None] = {q.name: None for q in problem.parameters}
+    index = _known(free, missing)
+    if noise_scale <= 0 or len(index) == 0 or len(problem.pieces()) > 1:
+        return bounds
+    problem = getattr(problem, "base", problem)  # shared errors are marginalised here
+    # Of many samples some stand for all, each with the information of several.
+    some = thinned(problem, MOST)
+    found = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
+    for k, v in zip(index.tolist(), np.diag(curvature.inverse(found, index)), strict=True):
+        q = problem.parameters[k]
+        bounds[q.name] = q.to_file(float(np.sqrt(v))) if v > 0 else None
+    return bounds
+
+
+def _alone(problem: Problem, h: FloatArray, k: int, noise: float) -> float | None:
+    if not (h[k, k] > 0 and noise > 0):
+        return None
+    return problem.parameters[k].to_file(noise / float(np.sqrt(h[k, k])))
+
+
+# ---------------------------------------------------------------- words
+
+
+def _change(
+    problem: Problem, optimum: Optimum, seen: NDArray[np.int64], step: FloatArray
+) -> dict[str, float]:
+    """A step along an axis, its largest relative change 10 %, in file units."""
+    size = np.maximum(np.abs(optimum.p[seen]), 1e-12)
+    part = np.abs(step) / size
+    factor = 0.1 / max(float(part.max()), 1e-300)
+    factor *= np.sign(step[int(np.argmax(part))]) or 1.0
+    return {
+        problem.parameters[k].name: problem.parameters[k].to_file(float(s * factor))
+        for k, s in zip(seen.tolist(), step, strict=True)
+    }
+
+
+def _causes(
+    problem: Problem,
+    optimum: Optimum,
+    seen: NDArray[np.int64],
+    values: FloatArray,
+    vectors: FloatArray,
+    scale: FloatArray,
+    missing: set[int],
+    hard: set[int],
+) -> list[str]:
+    """One sentence for each exchange that the data do not see, and each missing effect."""
+    names = [q.name for q in problem.parameters]
+    why = facts(problem)
+    because = f" ({'; '.join(why)})" if why else ""
+    told = []
+    for k in sorted(missing - set(seen.tolist())):
+        told.append(_without_effect(problem, optimum, k))
+    for k in np.flatnonzero(~optimum.free & (np.diag(optimum.curvature) <= 0)).tolist():
+        told.append(_flat_at_bound(problem, optimum, k))
+    for value, vector in zip(values, vectors.T, strict=True):
+        parts = seen[np.abs(vector) > TAKES_PART]
+        if value < UNDETERMINED:
+            told.append(_exchange(problem, optimum, parts, seen, vector / scale) + because + ".")
+    if hard:
+        words = _listed([names[k] for k in sorted(hard)])
+        weakest = next(
+            v for value, v in zip(values, vectors.T, strict=True) if value >= UNDETERMINED
+        )
+        others = [names[m] for m in seen[np.abs(weakest) > TAKES_PART] if m not in hard]
+        by = f"{_listed(others)} can take the place" if others else "one can take another's place"
+        told.append(f"{words} {'are' if len(hard) > 1 else 'is'} hardly determined: {by}{because}.")
+    return told
+
+
+def _exchange(
+    problem: Problem,
+    optimum: Optimum,
+    parts: NDArray[np.int64],
+    seen: NDArray[np.int64],
+    step: FloatArray,
+) -> str:
+    """What is exchanged for what, without the full stop."""
+    names = [problem.parameters[k].name for k in parts]
+    if len(parts) == 2 and all(problem.parameters[k].linear for k in parts):
+        return f"{_listed(names)} scale the same shape in these data: only their sum is determined"
+    change = _change(problem, optimum, seen, step)
+    shown = []
+    for k in parts.tolist():
+        q = problem.parameters[k]
+        value = q.to_file(float(optimum.p[k]))
+        if value:
+            shown.append(f"{100 * change[q.name] / value:+.0f} % in {q.name}")
+        else:
+            shown.append(f"{change[q.name]:+.2g} in {q.name}")
+    return f"{_listed(names)} are exchanged: {_listed(shown)} leave every sample as it is"
+
+
+def _without_effect(problem: Problem, optimum: Optimum, k: int) -> str:
+    """Why a free parameter has no derivative."""
+    names = [q.name for q in problem.parameters]
+    holders = _depends_on(problem, optimum, k)
+    if holders:
+        q = problem.parameters[holders[0]]
+        at = q.to_file(float(optimum.p[holders[0]]))
+        return (
+            f"{names[k]} has no effect while {q.name} is at its bound {at:.4g}: no direction "
+            f"tells of it until the data show {q.name} to lie inside."
+        )
+    why = facts(problem)
+    because = f" ({'; '.join(why)})" if why else ""
+    return f"{names[k]} has no effect on any of these samples{because}."
+
+
+def _depends_on(problem: Problem, optimum: Optimum, k: int) -> list[int]:
+    """Parameters at a bound that take away the effect of parameter k."""
+    found = []
+    for m in np.flatnonzero(~optimum.free).tolist():
+        q = problem.parameters[m]
+        inside = optimum.p.copy()
+        inside[m] += 0.05 * (q.upper - q.lower) * (1 if inside[m] <= q.lower else -1)
+        if np.any(problem.jacobian(inside)[1][:, k] != 0):
+            found.append(m)
+    return found
+
+
+def _flat_at_bound(problem: Problem, optimum: Optimum, k: int) -> str:
+    q = problem.parameters[k]
+    at = q.to_file(float(optimum.p[k]))
+    return (
+        f"{q.name} acts only in second order near its bound {at:.4g}, so that there is no "
+        "curvature there; its limit comes from the profile of chi-squared."
+    )
+
+
+def _listed(words: list[str]) -> str:
+    """Words with commas and an "and".
+
+    Examples
+    --------
+    >>> _listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + "".join(words[-1:])

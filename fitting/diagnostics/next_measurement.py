@@ -1,0 +1,213 @@
+"""Which further measurement would tell of a parameter that the data do not determine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio.fitting.minimum.curvature import TAKES_PART, axes
+from gonio.fitting.minimum.gauss_newton import Optimum
+from gonio.fitting.problem.problem import Problem
+from gonio.geometry import Directions, FloatArray, angles, unit_vectors
+from gonio.kernels.boxed import UNDETERMINED
+from gonio.samples import BRDFSamples
+
+INCIDENCES_DEG = (30, 40, 50, 20, 60, 10, 0, 70, 80)  # the easiest to measure first
+ROTATIONS_DEG = (0, 45, 90)
+PATTERNS = {
+    "hemisphere": "over the whole hemisphere",
+    "mirror 20": "within 20 deg of the mirror direction",
+    "mirror 5": "within 5 deg of the mirror direction",
+    "in plane": "in the plane of incidence",
+    "across": "across the plane of incidence, through the mirror direction",
+}
+N = 72  # directions of each
+STEEPEST = np.radians(80.0)  # largest theta_r
+AS_GOOD = 0.4  # of ln u: a measurement that is earlier in the lists is preferred by as much
+_MISSING = 100.0  # what a parameter without information adds to a merit
+
+
+@dataclass(frozen=True)
+class Mending:
+    """A measurement that would mend what the data leave open.
+
+    Parameters
+    ----------
+    theta_i_deg : float
+        Angle of incidence.
+    rotation_deg : float
+        By which the sample is turned against the first measurement.
+    pattern : str
+        Where to look from, in words.
+    n : int
+        Directions that `expected` counts with, each as noisy as samples of its size are now.
+    expected : mapping of str to float or None
+        Standard uncertainty of each parameter with it, file units; None where still unknown or
+        where the noise is.
+    text : str
+        The same as a sentence.
+    """
+
+    theta_i_deg: float
+    rotation_deg: float
+    pattern: str
+    n: int
+    expected: Mapping[str, float | None]
+    text: str
+
+
+def mend(
+    problem: Problem, optimum: Optimum, wanted: list[int], noise_scale: float
+) -> Mending | None:
+    """The best single measurement for the wanted parameters; None if none tells of them all.
+
+    Parameters
+    ----------
+    problem : Problem
+    optimum : Optimum
+    wanted : list of int
+        Numbers of the parameters.
+    noise_scale : float
+        Factor on the independent uncertainties; 0 where unknown.
+    """
+    if len(problem.pieces()) > 1:
+        return None  # the parts of a joint fit have their own directions
+    isotropic = problem.model.claims.isotropic
+    kinds = list(_kinds(isotropic))
+    d = problem.samples.directions
+    base = float(np.broadcast_to(d.phi_i, (problem.n,))[0])
+    blocks = [unit_directions(i, base + r, pattern) for i, r, pattern in kinds]
+    counts = [len(block[0]) for block in blocks]
+    w_i = np.repeat([unit_vectors(i, base + r) for i, r, _ in kinds], counts, axis=0)
+    theta_r, phi_r = (np.concatenate([block[k] for block in blocks]) for k in (0, 1))
+    theta_i, phi_i = angles(w_i)
+    samples = BRDFSamples(Directions(theta_i, phi_i, theta_r, phi_r), np.zeros(len(theta_r)))
+    candidates = Problem.from_samples(samples, problem.model, "none", problem.threads)
+    f, jacobian = candidates.jacobian(optimum.p)
+    u = _noise(problem, optimum.p, f, noise_scale)
+    now = optimum.curvature / (noise_scale or 1.0) ** 2
+    free = np.flatnonzero(optimum.free)
+    best: tuple[float, int, FloatArray] | None = None
+    for k, (start, n) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
+        rows = jacobian[start : start + n] / u[start : start + n, None]
+        # As many directions for each, also where part of a pattern lies below the horizon.
+        found = _standard(now + rows.T @ rows * (N / n), free)
+        size = np.maximum(np.abs(optimum.p), 1e-12)
+        merit = float(np.sum(np.where(np.isfinite(found), np.log(found / size), _MISSING)[wanted]))
+        if best is None or merit < best[0] - AS_GOOD * len(wanted):
+            best = (merit, k, found)
+    if best is None or not np.all(np.isfinite(best[2][wanted])):
+        return None
+    return _told(problem, kinds[best[1]], best[2], wanted, known=noise_scale > 0)
+
+
+def _told(
+    problem: Problem,
+    kind: tuple[float, float, str],
+    found: FloatArray,
+    wanted: list[int],
+    *,
+    known: bool,
+) -> Mending:
+    theta_i, rotation, pattern = kind
+    expected = {
+        q.name: q.to_file(float(u)) if known and np.isfinite(u) else None
+        for q, u in zip(problem.parameters, found, strict=True)
+    }
+    turned = f" with the sample turned by {np.degrees(rotation):.0f} deg" if rotation else ""
+    text = f"Measure {PATTERNS[pattern]} at theta_i = {np.degrees(theta_i):.0f} deg{turned}"
+    shown = []
+    for k in wanted:
+        q = problem.parameters[k]
+        u = expected[q.name]
+        if u is not None:
+            unit = f" {q.file_unit}" if q.file_unit else ""
+            shown.append(f"{q.name} to {u:.2g}{unit}")
+    text += f": {N} samples as good as these would give {', '.join(shown)}." if shown else "."
+    return Mending(
+        round(float(np.degrees(theta_i)), 6), round(float(np.degrees(rotation)), 6),
+        PATTERNS[pattern], N, expected, text,
+    )  # fmt: skip
+
+
+def _kinds(isotropic: bool) -> Iterator[tuple[float, float, str]]:
+    """Incidence, rotation (radians) and pattern of every candidate, the simplest first."""
+    for pattern in PATTERNS:
+        for rotation in (0,) if isotropic else ROTATIONS_DEG:
+            for theta_i in INCIDENCES_DEG:
+                yield float(np.radians(theta_i)), float(np.radians(rotation)), pattern
+
+
+def unit_directions(theta_i: float, phi_i: float, pattern: str) -> tuple[FloatArray, FloatArray]:
+    """Polar angles and azimuths (K,), radians, of a pattern of viewing directions, K <= N."""
+    mirror = unit_vectors(theta_i, phi_i + np.pi)
+    across = np.array([-np.sin(phi_i), np.cos(phi_i), 0.0])
+    along = np.cross(across, mirror)
+    k = np.arange(N) + 0.5
+    turn = k * np.pi * (3 - np.sqrt(5))
+    if pattern == "hemisphere":
+        z = 1 - k / N * (1 - np.cos(STEEPEST))
+        return np.arccos(z), turn
+    if pattern.startswith("mirror"):
+        z = 1 - k / N * (1 - np.cos(np.radians(float(pattern.split()[1]))))
+        s = np.sqrt(1 - z**2)[:, None]
+        w = z[:, None] * mirror + s * (
+            np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * along
+        )
+    else:
+        t = np.linspace(-STEEPEST, STEEPEST, N)[:, None]
+        if pattern == "in plane":
+            w = np.cos(t) * [0.0, 0.0, 1.0] + np.sin(t) * unit_vectors(np.pi / 2, phi_i + np.pi)
+        else:
+            w = np.cos(t) * mirror + np.sin(t) * across
+    theta_r, phi_r = angles(w)
+    above = theta_r <= STEEPEST + np.radians(5.0)
+    return theta_r[above], phi_r[above]
+
+
+def _noise(problem: Problem, p: FloatArray, f: FloatArray, noise_scale: float) -> FloatArray:
+    """Standard uncertainty of a sample of value f, as the samples near that value have it."""
+    sd = (noise_scale or 1.0) / np.sqrt(problem.inverse_variance)
+    value = problem.values(p)
+    order = np.array_split(np.argsort(value), min(20, problem.n))
+    x = np.array([np.median(value[k]) for k in order])
+    y = np.array([np.median(sd[k]) for k in order])
+    # Beyond the brightest sample the noise grows with the value.
+    brighter = np.maximum(f / x[-1], 1.0) if x[-1] > 0 else 1.0
+    return np.asarray(np.interp(f, x, y) * brighter)
+
+
+def _standard(information: FloatArray, free: np.ndarray) -> FloatArray:
+    """Standard uncertainties (P,); infinite where there is no information."""
+    found = np.full(len(information), np.inf)
+    index = free[np.diag(information)[free] > 0]
+    values, vectors, scale = axes(information, index)
+    # A direction without information makes its parameters unknown.
+    share = vectors**2 / np.maximum(values, 1e-300)
+    lost = np.any((values < UNDETERMINED) & (np.abs(vectors) > TAKES_PART), axis=1)
+    found[index] = np.where(lost, np.inf, np.sqrt(share.sum(axis=1)) / scale)
+    return found
+
+
+def facts(problem: Problem) -> list[str]:
+    """What in the choice of directions may be the cause, in a few words each."""
+    d = problem.samples.directions
+    n = problem.n
+    theta_i, phi_i, theta_r, phi_r = (
+        np.broadcast_to(a, (n,)) for a in (d.theta_i, d.phi_i, d.theta_r, d.phi_r)
+    )
+    told = []
+    if np.ptp(theta_i) < np.radians(0.5):
+        told.append(f"a single angle of incidence, {np.degrees(theta_i[0]):.3g} deg")
+    off = np.sin(theta_r) * np.sin(phi_r - phi_i) * (theta_i > 0.01)
+    across = np.sin(theta_i) * np.sin(phi_i - phi_i[0])
+    if np.max(np.abs(off)) < 0.01 and np.max(np.abs(across)) < 0.01 and np.any(theta_i > 0.01):
+        told.append(f"only one plane was measured, phi = {np.degrees(phi_i[0]) % 180:.3g} deg")
+    mirror = unit_vectors(theta_i, phi_i + np.pi)
+    nearest = float(np.max(np.sum(mirror * unit_vectors(theta_r, phi_r), axis=-1)))
+    if nearest < np.cos(np.radians(10.0)):
+        gap = np.degrees(np.arccos(np.clip(nearest, -1, 1)))
+        told.append(f"no sample within {gap:.0f} deg of the mirror direction")
+    return told

@@ -1,0 +1,1 @@
+"""The minimum of the loss: starting values, search and Gauss-Newton steps."""

@@ -1,0 +1,503 @@
+"""Errors that the samples share, learnt with the fit: unknowns with priors from the budget.
+
+A sample's expectation is F(p, z): every draw of every learnt error is an unknown z with a prior of
+mean 0 and unit variance, in units of what the budget states. About the current z0,
+
+y - F(p, z0) + U z0 = U z + noise,     U = dF/dz,
+
+and the Gaussian z can be integrated out: least squares in p with the covariance of the samples
+C = s^2 W^-1 + U U^T, W being the weights and s the factor on the independent errors. By Woodbury,
+
+r^T C^-1 r = min over z of |r - U z|^2 W / s^2 + |z|^2.
+
+U is taken at the model's values. Taken at noisy data, a common factor would be charged less on low
+readings and pull the fit below all of them (Peelle's pertinent puzzle).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.errors import ConfigurationError
+from gonio.fitting.minimum.gauss_newton import Optimum, minimise
+from gonio.fitting.problem.joint import JointProblem
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.result import NuisanceEstimate
+from gonio.fitting.uncertainty.covariance import inverse_curvature, moved_problem, shared_change
+from gonio.geometry import FloatArray
+from gonio.models import Parameter
+from gonio.samples import BRDFSamples, Cells, SharedTerm
+
+ROUNDS = 12  # of new weights, draws and parameters
+SETTLED = 1e-3  # of the uncertainties: a last round that moves less ends them
+STEP = 0.1  # of the prior's standard deviation: over which the slope of a direction is taken
+PULL = 3.0  # standard deviations of one draw that are worth a warning
+LEARNT = 0.05  # smallest part of the prior's variance that data must take away for a pull
+
+Nuisance = Literal["none", "all"] | Sequence[str]
+
+
+@dataclass(frozen=True)
+class NuisanceProblem(Problem):
+    """A least-squares problem in which the data tell of some shared errors as well.
+
+    It answers what `Problem` answers, with the draws of those errors integrated out: `weighted`
+    multiplies by s^2 C^-1, `chi2` is s^2 r^T C^-1 r, and `values` are those at the draws z0.
+
+    Parameters
+    ----------
+    base : Problem
+        The problem without them.
+    moved : Problem
+        The same with directions as z0 moves them, weights of now.
+    learnt : tuple of str
+        Names of the shared terms.
+    draw : ndarray of int64, shape (terms, N)
+        Number of the draw that each sample has of each learnt term.
+    z0 : ndarray, shape (draws,)
+        Draws about which the expectation is linear.
+    basis : scipy.sparse.csr_array, shape (N, draws)
+        U, at the parameters of the last `reweighted` and z0.
+    factor, offset : ndarray, shape (N,)
+        What z0 makes of the model's values.
+    noise : float
+        s, factor on the independent errors.
+    """
+
+    base: Problem = field(kw_only=True)
+    moved: Problem = field(kw_only=True)
+    learnt: tuple[str, ...] = field(kw_only=True)
+    draw: NDArray[np.int64] = field(kw_only=True)
+    z0: FloatArray = field(kw_only=True)
+    basis: Any = field(kw_only=True)
+    factor: FloatArray = field(kw_only=True)
+    offset: FloatArray = field(kw_only=True)
+    noise: float = field(kw_only=True, default=1.0)
+
+    @classmethod
+    def of(cls, problem: Problem, names: Sequence[str]) -> NuisanceProblem:
+        """The problem with these terms to be learnt; `reweighted` lets the data speak.
+
+        Parameters
+        ----------
+        problem : Problem
+            Over one BRDF, or a joint one.
+        names : sequence of str
+            Of shared terms of its samples, as `chosen` gives them.
+        """
+        from scipy.sparse import csr_array
+
+        terms = [term for term in problem.samples.shared if term.name in names]
+        draw, n_draws = _draws(terms, problem.n)
+        return cls(
+            **{item.name: getattr(problem, item.name) for item in fields(Problem)},
+            base=problem,
+            moved=problem,
+            learnt=tuple(dict.fromkeys(term.name for term in terms)),
+            draw=draw,
+            z0=np.zeros(n_draws),
+            basis=csr_array((problem.n, n_draws)),
+            factor=np.ones(problem.n),
+            offset=np.zeros(problem.n),
+        )
+
+    @property
+    def terms(self) -> list[SharedTerm]:
+        """The learnt terms, in the order of the samples'."""
+        return [term for term in self.samples.shared if term.name in self.learnt]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is fitted, in the order of every parameter vector; the draws are not among it."""
+        return self.base.parameters
+
+    def vector(self, values: Any) -> FloatArray:
+        """Checked parameter vector, defaults filled in."""
+        return self.base.vector(values)
+
+    def with_parameters(self, parameters: tuple[Parameter, ...]) -> NuisanceProblem:
+        """The problem with other bounds of its parameters."""
+        moved = self.moved.with_parameters(parameters)
+        return self._with(moved, base=self.base.with_parameters(parameters))
+
+    def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
+        """Variance of each sample by the independent errors, as `Problem.variance`."""
+        return self.base.variance(f, sharing=sharing)
+
+    def reweighted(self, p: FloatArray | None) -> NuisanceProblem:
+        """The problem with z0 at the data's estimate for p; weights, U and s follow the model."""
+        if p is None:
+            return self
+        z0 = self.draws(p)
+        base = self.base.reweighted(p)
+        moved = self._moved(base, z0).reweighted(p)
+        f = moved.values(p)
+        relative, offset = np.zeros(self.n), np.zeros(self.n)
+        parts = list(zip(self.terms, z0[self.draw], strict=True))
+        for term, z in parts:
+            if not term.moves_directions:
+                no_offset = replace(term, offset=None)
+                relative += z * no_offset.change(np.ones(self.n))
+                offset += 0.0 if term.offset is None else z * term.offset
+        factor = 1 + relative
+        changes = [_change(moved, term, p, f, factor) for term, _ in parts]
+        for (term, z), change in zip(parts, changes, strict=True):
+            if term.blur:
+                offset += z * change
+        new = self._with(
+            moved, base=base, z0=z0, basis=self._columns(changes), factor=factor, offset=offset
+        )
+        return replace(new, noise=new.settled_noise(p))
+
+    def draws(self, p: FloatArray) -> FloatArray:
+        """Estimate of every draw where the parameters are p, in units of its prior's sd."""
+        return self._absorbed(self._residual(p)) / self.noise
+
+    def changes(self, p: FloatArray) -> list[FloatArray]:
+        """Change of the samples by one standard deviation of every shared term, learnt or not."""
+        f = self.moved.values(p)
+        return [
+            _change(self.moved, term, p, f, self.factor) if term.name in self.learnt
+            else _change(self.moved, term, p, f, self.factor, step=1.0)
+            for term in self.samples.shared
+        ]  # fmt: skip
+
+    def values(self, p: FloatArray, cells: Cells | None = None) -> FloatArray:
+        """Expectation of every sample at p and z0, shape (N,), sr^-1."""
+        return self.moved.values(p, cells) * self.factor + self.offset
+
+    def jacobian(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Expectations (N,) and their derivatives by the parameters (N, parameters)."""
+        f, jac = self.moved.jacobian(p)
+        return f * self.factor + self.offset, jac * self.factor[:, None]
+
+    def chi2(self, p: FloatArray) -> float:
+        """s^2 r^T C^-1 r."""
+        r = self._residual(p)
+        a = self._absorbed(r)
+        rest = r - self._root @ a
+        return float(np.sum(rest * rest * self.inverse_variance) + a @ a)
+
+    def batch_chi2(self, batch: FloatArray) -> FloatArray:
+        """`chi2` of every row of parameters (B, P), shape (B,)."""
+        r = np.stack([self._residual(p) for p in batch], axis=1)
+        a = self._absorbed(r)
+        rest = r - self._root @ a
+        return np.asarray(self.inverse_variance @ (rest * rest) + np.sum(a * a, axis=0))
+
+    def normal_equations(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """chi2, s^2 J^T C^-1 r and s^2 J^T C^-1 J at p."""
+        f, jac = self.jacobian(p)
+        both = np.column_stack([jac, self._off(f)])
+        a = self._absorbed(both)
+        rest = both - self._root @ a
+        square = rest.T @ (rest * self.inverse_variance[:, None]) + a.T @ a
+        return float(square[-1, -1]), square[:-1, -1], square[:-1, :-1]
+
+    def weighted(self, columns: FloatArray) -> FloatArray:
+        """s^2 C^-1 times columns (N, k)."""
+        rest = columns - self._root @ self._absorbed(columns)
+        return np.asarray(rest * self.inverse_variance[:, None])
+
+    def at(self, index: NDArray[np.int64]) -> NuisanceProblem:
+        """The problem of these samples alone, with their cells, weights and shared errors."""
+        return self._with(
+            self.moved.at(index),
+            base=self.base.at(index),
+            draw=self.draw[:, index],
+            basis=self.basis[index],
+            factor=self.factor[index],
+            offset=self.offset[index],
+        )
+
+    def subset(self, n: int) -> Problem:
+        """At most n samples for starting values, without the shared errors."""
+        return self.moved.subset(n)
+
+    def settled_noise(self, p: FloatArray) -> float:
+        """s: 1, or the size of the residuals over the weights where it is larger or all we know.
+
+        The draws take up part of the residuals, the more the smaller s is: the s that fits its own
+        residuals is looked for. chi-squared over s needs no pass over the data.
+        """
+        r = self._residual(p)
+        size, vectors = np.linalg.eigh(self._gram)
+        size = np.maximum(size, 0.0)
+        score = vectors.T @ (self.basis.T @ (self.inverse_variance * r))
+        all_r = float(np.sum(r * r * self.inverse_variance))
+        dof = max(self.n - len(self.parameters), 1)
+        least = 1.0 if self.weights == "sd" else 1e-300
+        s = max(least, np.sqrt(all_r / dof))
+        for _ in range(200):
+            before = s
+            chi2 = all_r - float(np.sum(score**2 / (size + s**2)))
+            s = max(least, np.sqrt(max(chi2, 1e-24 * all_r) / dof))
+            if abs(s - before) <= 1e-10 * before:
+                break
+        return float(s)
+
+    def _with(self, moved: Problem, **changes: Any) -> NuisanceProblem:
+        """Other fields; those of a plain problem are those of `moved`."""
+        own = {item.name: getattr(moved, item.name) for item in fields(Problem)}
+        return replace(self, **own, moved=moved, **changes)
+
+    def _moved(self, base: Problem, z0: FloatArray) -> Problem:
+        """A problem with its directions as the draws move them."""
+        shift, turn = np.zeros((self.n, 3)), np.zeros(self.n)
+        for term, z in zip(self.terms, z0[self.draw], strict=True):
+            if term.shift is not None:
+                shift += z[:, None] * term.shift
+            elif term.turn:
+                turn += z * term.turn * (1.0 if term.profile is None else term.profile)
+        if not (shift.any() or turn.any()):
+            return base
+        if isinstance(base, JointProblem):
+            parts = tuple(
+                moved_problem(part, shift=shift[where], turn=turn[where])
+                for part, where, _ in base.pieces()
+            )
+            return replace(base, parts=parts)
+        return moved_problem(base, shift=shift, turn=turn)
+
+    def _columns(self, changes: list[FloatArray]) -> Any:
+        """U from the change by each learnt term."""
+        from scipy.sparse import csr_array
+
+        n_terms = len(changes)
+        ends = np.arange(0, self.n * n_terms + 1, n_terms)
+        values = np.stack(changes, axis=1).ravel()
+        return csr_array((values, self.draw.T.ravel(), ends), shape=(self.n, len(self.z0)))
+
+    def _residual(self, p: FloatArray) -> FloatArray:
+        return self._off(self.values(p))
+
+    def _off(self, f: FloatArray) -> FloatArray:
+        """y - F(p, z0) + U z0 for the expectations F(p, z0)."""
+        return np.asarray(self._target - f)
+
+    @cached_property
+    def _target(self) -> FloatArray:
+        """y + U z0."""
+        return np.asarray(self.samples.value + self.basis @ self.z0)
+
+    @cached_property
+    def _root(self) -> Any:
+        """U/s."""
+        return self.basis / self.noise
+
+    @cached_property
+    def _gram(self) -> FloatArray:
+        """U^T W U (draws, draws)."""
+        from scipy.sparse import diags_array
+
+        return np.asarray(
+            (self.basis.T @ diags_array(self.inverse_variance) @ self.basis).toarray()
+        )
+
+    @cached_property
+    def _factored(self) -> Any:
+        from scipy.linalg import cho_factor
+
+        return cho_factor(np.eye(len(self.z0)) + self._gram / self.noise**2)
+
+    def _absorbed(self, columns: FloatArray) -> FloatArray:
+        """s times the draws that residuals (N,) or (N, k) call for."""
+        from scipy.linalg import cho_solve
+
+        weighted = (self.inverse_variance * columns.T).T
+        return np.asarray(cho_solve(self._factored, self._root.T @ weighted))
+
+
+def chosen(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
+    """Names of the shared terms that are to be learnt.
+
+    Parameters
+    ----------
+    samples : BRDFSamples
+    nuisance : {"none", "all"} or sequence of str
+        Names of terms, or what stands before the comma in the names of several: "geometry" for
+        "geometry, mode 1" and its like. All are those that are not `typical`: to learn the typical
+        shape of an error that has another one is to learn something wrong for certain.
+
+    Raises
+    ------
+    ConfigurationError
+        If the samples state no shared error that can be learnt, or none of a name.
+
+    Examples
+    --------
+    >>> from gonio.geometry import Directions
+    >>> one = np.zeros(1)
+    >>> terms = (SharedTerm("lamp, sample", "", 0.01), SharedTerm("standard", "", 0.02))
+    >>> chosen(BRDFSamples(Directions(one, one, one, one), one, shared=terms), ["lamp"])
+    ('lamp, sample',)
+    """
+    if isinstance(nuisance, str):
+        nuisance = {"none": [], "all": ["all"]}.get(nuisance, [nuisance])
+    known = tuple(dict.fromkeys(term.name for term in samples.shared if not term.typical))
+    typical = {term.name for term in samples.shared if term.typical}
+    if nuisance and not known:
+        raise ConfigurationError(
+            "the samples state no shared errors that a fit could learn; give a session, or samples "
+            "of 'gonio reduce'.",
+            value=nuisance,
+        )
+    if list(nuisance) == ["all"]:
+        return known
+    found: list[str] = []
+    for name in nuisance:
+        family = [term for term in known if term.partition(",")[0] == name]
+        matching = [name] if name in known else family
+        if name in typical or (not matching and name in {t.partition(",")[0] for t in typical}):
+            raise ConfigurationError(
+                f"the shared error {name!r} stands for errors of many shapes by a typical one: it "
+                f"is propagated and cannot be learnt; others can: {'; '.join(known)}.",
+                value=name,
+            )
+        if not matching:
+            raise ConfigurationError(
+                f"nuisance {name!r} is none of the shared errors of these samples; give all, none, "
+                f"or some of: {'; '.join(known)}.",
+                value=name,
+            )
+        found += matching
+    return tuple(name for name in known if name in found)
+
+
+def parsed(text: str) -> Nuisance:
+    """What stands after `--nuisance`: all, none, or names between commas.
+
+    A comma with a space after it belongs to a name.
+
+    Examples
+    --------
+    >>> parsed("standard,lamp, sample,azimuth")
+    ['standard', 'lamp, sample', 'azimuth']
+    """
+    if text in ("none", "all"):
+        return text
+    return [name.strip() for name in re.split(r",(?! )", text) if name.strip()]
+
+
+def learnt_fit(
+    problem: Problem, optimum: Optimum, names: Sequence[str]
+) -> tuple[NuisanceProblem, Optimum, list[str]]:
+    """The minimum with shared errors learnt, from that without; and what to know about it.
+
+    Weights, U and z0 follow parameters and draws, which follow them, until both stand still.
+    """
+    learning = NuisanceProblem.of(problem, names)
+    evaluations = optimum.evaluations
+    for _ in range(ROUNDS):
+        before = optimum.p
+        learning = learning.reweighted(before)
+        optimum = minimise(learning, before, near=True)
+        evaluations += optimum.evaluations
+        step = optimum.p - before
+        still = float(step @ optimum.curvature @ step) <= (SETTLED * learning.noise) ** 2
+        if still and np.all(np.abs(learning.draws(optimum.p) - learning.z0) <= SETTLED):
+            return learning, replace(optimum, evaluations=evaluations), []
+    told = (
+        f"the shared errors that were learnt have not settled in {ROUNDS} rounds: they are too "
+        "large for this model, or it is the wrong one."
+    )
+    return learning, replace(optimum, evaluations=evaluations), [told]
+
+
+def estimates(problem: NuisanceProblem, optimum: Optimum) -> tuple[NuisanceEstimate, ...]:
+    """Every learnt draw with its standard uncertainty, in units of its prior's.
+
+    The covariance of all draws is that of parameters and draws together: (I + U^T W U/s^2 -
+    B (J^T W J)^-1 B^T)^-1 with B = U^T W J, over the parameters that the data determine.
+    """
+    weight = problem.inverse_variance / problem.noise**2
+    _, jac = problem.jacobian(optimum.p)
+    known, _ = inverse_curvature(optimum)
+    inner = np.eye(len(problem.z0)) + problem.basis.T @ (weight[:, None] * problem.basis.toarray())
+    if known.any():
+        jac = jac[:, known]
+        scale = np.sqrt(np.sum(weight[:, None] * jac**2, axis=0))
+        jac = jac / scale
+        cross = np.asarray(problem.basis.T @ (weight[:, None] * jac))
+        inner -= cross @ np.linalg.pinv(jac.T @ (weight[:, None] * jac), hermitian=True) @ cross.T
+    sd = np.sqrt(np.diag(np.linalg.inv((inner + inner.T) / 2)).clip(0, 1))
+    z = problem.draws(optimum.p)
+    found = []
+    for term, draw in zip(problem.terms, problem.draw, strict=True):
+        labels = [None] if term.group is None else np.unique(term.group).tolist()
+        first = int(draw.min())
+        found += [
+            NuisanceEstimate(term.name, label, float(z[first + k]), float(sd[first + k]))
+            for k, label in enumerate(labels)
+        ]
+    return tuple(found)
+
+
+def pull_warnings(found: Sequence[NuisanceEstimate]) -> list[str]:
+    """A sentence for every term with a draw too far from 0 for its prior.
+
+    The pull of a draw is its estimate over sqrt(1 - sd^2), the spread that an honest prior gives
+    the estimate. Of many draws the largest is allowed to be larger.
+    """
+    from scipy.stats import norm
+
+    pulls = {
+        k: e.estimate / np.sqrt(1 - e.stderr**2)
+        for k, e in enumerate(found)
+        if 1 - e.stderr**2 >= LEARNT
+    }
+    limit = float(norm.isf(norm.sf(PULL) / max(len(pulls), 1)))
+    worst: dict[str, int] = {}
+    for k, pull in pulls.items():
+        name = found[k].name
+        if abs(pull) > limit and abs(pull) > abs(pulls.get(worst.get(name, -1), 0.0)):
+            worst[name] = k
+    return [
+        f"the data pull the shared error {name!r}"
+        + ("" if found[k].group is None else f" (draw {found[k].group})")
+        + f" to {found[k].estimate:+.1f} of its standard uncertainties: the budget is too small "
+        "for it, or the model is wrong and it takes up what the model lacks."
+        for name, k in worst.items()
+    ]
+
+
+def _draws(terms: Sequence[SharedTerm], n: int) -> tuple[NDArray[np.int64], int]:
+    """Number of each sample's draw of each term (terms, N), counted through; how many there are."""
+    draw, total = np.zeros((len(terms), n), np.int64), 0
+    for row, term in zip(draw, terms, strict=True):
+        if term.group is not None:
+            row[:] = np.unique(term.group, return_inverse=True)[1]
+        row += total
+        total = int(row.max()) + 1
+    return draw, total
+
+
+def _change(
+    problem: Problem,
+    term: SharedTerm,
+    p: FloatArray,
+    f: FloatArray,
+    factor: FloatArray,
+    *,
+    step: float = STEP,
+) -> FloatArray:
+    """dF/dz (N,) of a term; f are the values at the directions as they are now.
+
+    What is learnt is known to a part of its prior: there the slope is wanted, and not the chord
+    over a whole standard deviation that stands for what is only propagated.
+    """
+    if term.shift is not None:
+        shorter = replace(term, shift=step * term.shift)
+        return shared_change(problem, shorter, p, f) / step * factor
+    if term.turn:
+        shorter = replace(term, turn=step * term.turn)
+        return shared_change(problem, shorter, p, f) / step * factor
+    change = shared_change(problem, term, p, f)
+    return change * factor if term.blur else change

@@ -1,0 +1,1 @@
+"""Covariance, profile likelihood and intervals at a minimum."""

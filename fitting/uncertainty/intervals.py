@@ -1,0 +1,203 @@
+"""Parameters with uncertainties and intervals, inside their bounds, on them, and where unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from scipy import stats
+
+from gonio.fitting.minimum.find import CHI2_95
+from gonio.fitting.minimum.gauss_newton import Optimum
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.result import Estimate
+from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.uncertainty.profile import excluded
+from gonio.fitting.uncertainty.profile import limit as bound_limit
+from gonio.geometry import FloatArray
+from gonio.models import Parameter
+
+LEVELS = (0.6826895, 0.95)  # of the intervals
+ROUNDING = 1e-13  # of the root mean square of the data: residuals that are rounding
+NEAR_BOUND = 2  # half-widths of an interval within which a bound is asked for by itself
+
+
+def estimated(
+    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty, dof: int
+) -> tuple[dict[str, Estimate], list[str]]:
+    """Every parameter with its standard uncertainty and intervals, in file units."""
+    # Where the scatter stands for the noise, few degrees of freedom widen the intervals.
+    known_noise = problem.weights == "sd"
+    quantiles = [
+        float(stats.norm.ppf(q) if known_noise else stats.t.ppf(q, dof))
+        for q in ((1 + level) / 2 for level in LEVELS)
+    ]
+    estimates, warnings = {}, []
+    bare = noiseless(problem, errors.noise_scale)
+    if bare:
+        warnings.append(
+            "the model leaves no residuals beyond rounding and the samples state no uncertainty: "
+            "nothing tells how uncertain the parameters are; give u_brdf."
+        )
+    for j, q in enumerate(problem.parameters):
+        value = float(optimum.p[j])
+        if value in (q.lower, q.upper):
+            estimates[q.name], text = _at_bound(problem, optimum, j, errors.noise_scale)
+            warnings.append(text)
+            continue
+        if j in optimum.limited:
+            estimates[q.name] = _along_sum(problem, optimum, j, errors.noise_scale)
+            continue
+        estimate = Estimate(q.to_file(value), None, q.file_unit, None, None, None)
+        if errors.determined[j] and bare:
+            estimates[q.name] = estimate
+            continue
+        if errors.determined[j]:
+            estimate = _inside(problem, optimum, errors, j, quantiles)
+        if estimate.interval_95 is None:
+            warnings.append(
+                f"{q.name} is not determined by these data: its value is arbitrary and it has no "
+                "uncertainty; measure other directions or hold the model simpler."
+            )
+        estimates[q.name] = estimate
+    return estimates, warnings
+
+
+def noiseless(problem: Problem, noise_scale: float) -> bool:
+    """Whether rounding is all that the residuals hold and nobody stated the noise."""
+    if problem.weights == "sd" or problem.samples.shared:
+        return False
+    size = np.sqrt(np.mean(problem.samples.value**2 * problem.inverse_variance))
+    return bool(noise_scale <= ROUNDING * size)
+
+
+def _inside(
+    problem: Problem,
+    optimum: Optimum,
+    errors: uncertainty.Uncertainty,
+    j: int,
+    quantiles: list[float],
+) -> Estimate:
+    """A parameter between its bounds.
+
+    Where an end of an interval leaves the bounds the curvature is no guide any more: that end is
+    looked for on the profile of chi-squared.
+    """
+    q = problem.parameters[j]
+    value = float(optimum.p[j])
+    stderr = float(np.sqrt(errors.covariance[j, j]))
+    intervals = []
+    for t, level in zip(quantiles, LEVELS, strict=True):
+        ends = []
+        for side, bound in ((-1, q.lower), (1, q.upper)):
+            end: float | None = value + side * t * stderr
+            # All errors, where chi-squared counts those of the likelihood alone.
+            own = errors.of_likelihood[j, j]
+            unit = (errors.noise_scale * stderr) ** 2 / own if own > 0 else 0.0
+            if side * (value + NEAR_BOUND * side * t * stderr - bound) >= 0 and not excluded(
+                problem, optimum, j, bound, unit, level
+            ):
+                end = bound
+            elif side * (value + side * t * stderr - bound) >= 0:
+                end = bound_limit(problem, optimum, j, t**2, errors.noise_scale, side=side)
+            ends.append(q.to_file(bound if end is None else end))
+        intervals.append((ends[0], ends[1]))
+    if intervals[1] == (q.to_file(q.lower), q.to_file(q.upper)):
+        return Estimate(q.to_file(value), None, q.file_unit, None, None, None)
+    components = {name: q.to_file(u) for name, u in errors.components(j).items()}
+    known = stderr < q.upper - q.lower
+    return Estimate(
+        q.to_file(value),
+        q.to_file(stderr) if known else None,
+        q.file_unit,
+        None,
+        intervals[0],
+        intervals[1],
+        components if known else {},
+    )
+
+
+def _along_sum(problem: Problem, optimum: Optimum, j: int, scale: float) -> Estimate:
+    """A reflectance whose sum with others is held at 1: it grows as far as those give way."""
+    q = problem.parameters[j]
+    intervals = []
+    for increase in (1.0, CHI2_95):
+        ends = [bound_limit(problem, optimum, j, increase, scale, side=side) for side in (-1, 1)]
+        low, high = (
+            bound if end is None else end
+            for end, bound in zip(ends, (q.lower, q.upper), strict=True)
+        )
+        intervals.append((q.to_file(low), q.to_file(high)))
+    return Estimate(
+        q.to_file(float(optimum.p[j])), None, q.file_unit, "upper", intervals[0], intervals[1]
+    )
+
+
+def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple[Estimate, str]:
+    """A parameter at its bound: one-sided limits from the profile of chi-squared, no stderr."""
+    q = problem.parameters[j]
+    value = float(optimum.p[j])
+    at_bound: Literal["lower", "upper"] = "lower" if value == q.lower else "upper"
+    side = 1 if at_bound == "lower" else -1
+    limits = [
+        bound_limit(problem, optimum, j, increase, scale, side=side) for increase in (1.0, CHI2_95)
+    ]
+    far = q.upper if side > 0 else q.lower
+    intervals = []
+    for limit in limits:
+        low, high = sorted((value, far if limit is None else limit))
+        intervals.append((q.to_file(low), q.to_file(high)))
+    unit = f" {q.file_unit}" if q.file_unit else ""
+    text = f"{q.name} is at its {at_bound} bound ({q.to_file(value):.4g}{unit}): "
+    if limits[1] is None:
+        text += "the data do not limit it."
+    else:
+        text += (
+            f"the data do not support a value {'above' if side > 0 else 'below'} "
+            f"{q.to_file(limits[1]):.3g}{unit} (95 %) and do not determine it otherwise."
+        )
+    return Estimate(q.to_file(value), None, q.file_unit, at_bound, intervals[0], intervals[1]), text
+
+
+def with_quantiles(
+    parameters: tuple[Parameter, ...],
+    estimates: Mapping[str, Estimate],
+    draws: FloatArray,
+) -> dict[str, Estimate]:
+    """Intervals from the posterior's quantiles: central, or one-sided where a bound is near.
+
+    A central interval would exclude a bound that the data do not exclude.
+    """
+    result = {}
+    flat = draws.reshape(-1, draws.shape[-1])
+    for j, q in enumerate(parameters):
+        estimate = estimates[q.name]
+        ends = estimate.interval_95 or (np.nan, np.nan)
+        near = [ends[0] <= q.to_file(q.lower), ends[1] >= q.to_file(q.upper)]
+        if estimate.value in (q.to_file(q.lower), q.to_file(q.upper)):
+            near = [estimate.at_bound == "lower", estimate.at_bound == "upper"]
+        intervals = []
+        for level in LEVELS:
+            if near == [True, False]:
+                pair = (q.lower, float(np.quantile(flat[:, j], level)))
+            elif near == [False, True]:
+                pair = (float(np.quantile(flat[:, j], 1 - level)), q.upper)
+            else:
+                tail = (1 - level) / 2
+                low, high = np.quantile(flat[:, j], [tail, 1 - tail])
+                pair = (float(low), float(high))
+            intervals.append((q.to_file(pair[0]), q.to_file(pair[1])))
+        result[q.name] = replace(estimate, interval_68=intervals[0], interval_95=intervals[1])
+    return result
+
+
+def covariance(
+    parameters: tuple[Parameter, ...], errors: uncertainty.Uncertainty
+) -> list[list[float]] | None:
+    if not errors.determined.all():
+        return None
+    unit = np.array([q.to_file(1.0) for q in parameters])
+    scaled = errors.covariance * np.outer(unit, unit)
+    return [[float(v) for v in row] for row in scaled]

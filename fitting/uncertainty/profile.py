@@ -1,0 +1,125 @@
+"""How far a parameter may go where a bound is near: profiles, with shared errors added."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gonio.fitting.minimum.gauss_newton import Optimum, minimise, pinned_at
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty.covariance import around, evaluate, profile_limit
+from gonio.fitting.uncertainty.information import thinned
+from gonio.geometry import FloatArray
+
+MOST = 5_000  # samples that tell the part of the shared errors
+ROUNDS = 3
+SMALL = 1e-3  # part of the shared errors that changes no limit
+
+
+def limit(
+    problem: Problem,
+    optimum: Optimum,
+    j: int,
+    increase: float,
+    noise_scale: float,
+    *,
+    side: int,
+) -> float | None:
+    """How far parameter j can move, both kinds of errors counted; None where nothing limits it.
+
+    Parameters
+    ----------
+    problem : Problem
+    optimum : Optimum
+    j : int
+        Number of the parameter.
+    increase : float
+        Of chi-squared in units of its variance, for instance 3.84.
+    noise_scale : float
+        Factor on the independent uncertainties.
+    side : {1, -1}
+        +1 upwards, -1 downwards.
+
+    Notes
+    -----
+    Where f is linear and the estimate without bounds is x', chi-squared grows by
+    ((x - x')^2 - x'^2)/u^2 from a bound at 0 to x, with u from the independent errors. Shared
+    errors of variance k u^2 make the variance (1 + k) u^2, so that the limit is where chi-squared
+    has grown (1 + k) times as far. k is taken at the limit itself with the parameter free: at the
+    bound it may have no derivative, and a ratio of variances does not depend on how the parameter
+    is written.
+    """
+    problem, optimum, place = around(problem, optimum, j)
+    j = int(np.flatnonzero(place == j)[0])
+    unit = noise_scale**2
+    end = profile_limit(problem, optimum, j, increase * unit, side=side)
+    if not _propagated(problem):
+        return end
+    before = 0.0
+    for _ in range(ROUNDS):
+        at = problem.parameters[j].upper if end is None and side > 0 else end
+        at = problem.parameters[j].lower if at is None else at
+        k = _shared_part(problem, optimum, j, at, noise_scale)
+        if abs(k - before) <= SMALL * (1 + k):
+            break
+        before = k
+        end = profile_limit(problem, optimum, j, increase * unit * (1 + k), side=side)
+    return end
+
+
+def excluded(
+    problem: Problem, optimum: Optimum, j: int, value: float, unit: float, level: float
+) -> bool:
+    """Whether the data speak against parameter j having a value, with this confidence.
+
+    Near a bound at which f has no derivative by the parameter (it may act by its square) the
+    curvature at the minimum tells an uncertainty that is far too small. Where other parameters
+    lose their effect at the value (a lobe of amplitude 0 has no width) they have helped to follow
+    the noise: chi-squared has as many degrees of freedom more.
+
+    Parameters
+    ----------
+    unit : float
+        Growth of chi-squared for one standard uncertainty, all errors counted.
+    level : float
+        For instance 0.95.
+    """
+    from scipy import stats
+
+    problem, optimum, place = around(problem, optimum, j)
+    j = int(np.flatnonzero(place == j)[0])
+    start = np.where(np.arange(len(optimum.p)) == j, value, optimum.p)
+    held = minimise(pinned_at(problem, j, value), start, search=False)
+    p = np.where(np.arange(len(start)) == j, value, held.p)
+    curvature = problem.normal_equations(p)[2]
+    lost = int(np.count_nonzero((np.diag(curvature) <= 0) & (np.diag(optimum.curvature) > 0)))
+    lost -= int(curvature[j, j] <= 0 < optimum.curvature[j, j])
+    return bool(held.chi2 - optimum.chi2 > unit * stats.chi2.ppf(level, 1 + lost))
+
+
+def _propagated(problem: Problem) -> bool:
+    """Whether there are shared errors that the chi-squared of the problem does not hold."""
+    learnt = getattr(problem, "learnt", ())
+    return any(term.name not in learnt for term in problem.samples.shared)
+
+
+def _shared_part(
+    problem: Problem, optimum: Optimum, j: int, value: float, noise_scale: float
+) -> float:
+    """Variance of parameter j by shared errors over that by independent ones, at a value of it."""
+    base: Problem = getattr(problem, "base", problem)
+    start = np.where(np.arange(len(optimum.p)) == j, value, optimum.p)
+    p: FloatArray = minimise(pinned_at(problem, j, value), start, search=False).p
+    some = thinned(base, MOST)
+    chi2, gradient, curvature = some.normal_equations(p)
+    free = optimum.free | (np.arange(len(p)) == j)
+    here = Optimum(p, chi2, gradient, curvature, free, 0, True)
+    errors = evaluate(some, here, noise_scale * float(np.sqrt(some.n / problem.n)))
+    if not errors.determined[j] or errors.independent[j, j] <= 0:
+        return 0.0
+    learnt = getattr(problem, "learnt", ())
+    shared = sum(
+        float(np.sum(moves[:, j] ** 2))
+        for name, moves in errors.shared.items()
+        if name not in learnt
+    )
+    return shared / float(errors.independent[j, j])

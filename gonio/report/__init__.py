@@ -1,8 +1,0 @@
-"""A fit as one HTML page that opens offline: what was measured, what was found, how well."""
-
-from __future__ import annotations
-
-from gonio.report.document import page
-from gonio.report.inputs import Inputs, gather
-
-__all__ = ["Inputs", "gather", "page"]

@@ -1,0 +1,160 @@
+"""What a report is made of: the fit, and what is still there of the data behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+from typing import Any
+
+from gonio import formats
+from gonio.errors import ConfigurationError, DataError, GonioError
+from gonio.files import sha256_of
+from gonio.fitting.diagnostics.diagnose import usable
+from gonio.fitting.result import FitResult
+from gonio.plotting.summary import read_draws
+from gonio.samples import BRDFSamples
+from gonio.session import Session
+
+Reducer = Callable[[Session], BRDFSamples]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """A fit and what belongs to it; what is missing is None and has a sentence in `absent`.
+
+    Parameters
+    ----------
+    fit : FitResult
+    name : str
+        File of the fit.
+    samples : BRDFSamples or None
+        What the fit was made to, cut as it was.
+    session : Session or None
+        The raw frames.
+    draws : xarray.Dataset or None
+        The posterior's draws.
+    absent : tuple of str
+        Why something is not there, one sentence each.
+    """
+
+    fit: FitResult
+    name: str
+    samples: BRDFSamples | None = None
+    session: Session | None = None
+    draws: Any = None
+    absent: tuple[str, ...] = ()
+
+
+def gather(
+    source: str | Path,
+    reducer: Reducer | None = None,
+    choose: Callable[[FitResult], FitResult] | None = None,
+) -> Inputs:
+    """Read a fit and look for its samples, session and draws by the names they had.
+
+    They are looked for from the current folder and beside the fit. Only the fit must be there.
+
+    Parameters
+    ----------
+    source : path
+        A FIT.json that `gonio fit` wrote.
+    reducer : callable, optional
+        Turns the session into samples where the fit was made to a session; `gonio.reduce` where
+        not given.
+    choose : callable, optional
+        Takes one part out of a joint fit.
+
+    Raises
+    ------
+    DataError
+        If the fit is missing or is not a fit.
+    ConfigurationError
+        If it is a joint fit and no part was chosen.
+    """
+    source = Path(source)
+    fit = FitResult.load(source)
+    fit = fit if choose is None else choose(fit)
+    if fit.parts:
+        raise ConfigurationError(
+            f"{source}: is a joint fit of {', '.join(part.name for part in fit.parts)}; give one "
+            "of them: its method part().",
+            value=source,
+        )
+    absent: list[str] = []
+    samples = _or_none(absent, "samples", lambda: _samples(source, fit, reducer or _reduce))
+    session = _or_none(absent, "session", lambda: _session(source, fit))
+    draws = _or_none(absent, "draws", lambda: _draws(source, fit))
+    return Inputs(fit, source.name, samples, session, draws, tuple(absent))
+
+
+def _or_none(absent: list[str], what: str, read: Callable[[], Any]) -> Any:
+    """What `read` gives; an error of gonio or of the system becomes a line of `absent`."""
+    try:
+        return read()
+    except (GonioError, OSError) as error:
+        absent.append(f"The {what}: {error}")
+        return None
+
+
+def _samples(source: Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
+    name = fit.source.get("input") or fit.source.get("path")
+    if not name:
+        raise DataError("the fit does not say which samples it was made to.")
+    path = _find(str(name), source)
+    select: Mapping[str, str] = fit.cuts.get("select") or {}
+    if path.is_dir():
+        session = Session.open(path)
+        session.require_complete()
+        samples = formats.choose(reducer(session), select)
+    else:
+        _require_unchanged(path, fit)
+        samples = formats.read(path, select=select)
+    limits = [fit.cuts.get(f"max_{angle}_deg") for angle in ("theta_i", "theta_r")]
+    theta_i, theta_r = (None if limit is None else radians(float(limit)) for limit in limits)
+    samples = usable(samples.limited(max_theta_i=theta_i, max_theta_r=theta_r))
+    if len(samples) != fit.n_samples:
+        raise DataError(
+            f"{name} holds {len(samples)} samples and the fit was made to {fit.n_samples}; it has "
+            "changed since."
+        )
+    return samples
+
+
+def _require_unchanged(path: Path, fit: FitResult) -> None:
+    known = fit.source.get("sha256")
+    if known and sha256_of(path) != known:
+        raise DataError(f"{path.name} has changed since the fit was made to it.", value=path)
+
+
+def _session(source: Path, fit: FitResult) -> Session | None:
+    name = fit.source.get("session")
+    return None if not name else Session.open(_find(str(name), source))
+
+
+def _draws(source: Path, fit: FitResult) -> Any:
+    if fit.posterior is None or fit.posterior.draws is None:
+        return None
+    draws = read_draws(_find(fit.posterior.draws, source))
+    own = (fit.source.get("joint") or {}).get("parameters") or {}
+    if own and all(name in draws for name in own.values()):
+        # The draws of a joint fit are named as its parameters are.
+        draws = draws[list(own.values())].rename({old: new for new, old in own.items()})
+    if not all(name in draws for name in fit.parameters):
+        raise DataError(f"{fit.posterior.draws} does not hold the parameters of this fit.")
+    return draws
+
+
+def _find(name: str, source: Path) -> Path:
+    """A file by the name it had: from the current folder, or beside the fit."""
+    for path in (Path(name), source.parent / name, source.parent / Path(name).name):
+        if path.exists():
+            return path
+    raise DataError(f"{name} is neither in the current folder nor beside the fit.", value=name)
+
+
+def _reduce(session: Session) -> BRDFSamples:
+    from gonio.calibration.reduction.reduce import reduce
+
+    return reduce(session)

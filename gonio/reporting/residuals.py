@@ -1,0 +1,155 @@
+"""What the model leaves over: maps over the hemisphere and how the residuals are spread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gonio import models
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.result import FitResult
+from gonio.geometry import FloatArray
+from gonio.plotting.style import BLUE, VERMILLION
+from gonio.reporting.chart import Chart, Trace, View, axis, faded, short, spread
+from gonio.reporting.lobe import Image, columns, images
+from gonio.samples import BRDFSamples
+
+MOST_DRAWN = 12_000  # samples in all maps together
+MOST_MAPS = 64
+LIMIT = 3.0  # of the colours
+BINS = np.linspace(-5, 5, 51)
+_COLOURS = [[0, BLUE], [0.5, "#dcdcdc"], [1, VERMILLION]]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Measured less fitted, each over the cell of its sample.
+
+    Parameters
+    ----------
+    z : ndarray, shape (N,)
+        The residuals in the unit that `unit` names.
+    unit : str
+        Their unit in words.
+    known : bool
+        Whether the unit is the standard uncertainty of a sample.
+    """
+
+    z: FloatArray
+    unit: str
+    known: bool
+
+
+def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
+    """Residuals in standard uncertainties, or in root mean squares where those are unknown."""
+    model = models.get(fit.model)
+    problem = Problem.from_samples(samples, model)
+    p = model.vector({n: model.parameter(n).from_file(v) for n, v in fit.values().items()})
+    f = problem.values(p)
+    rest = samples.value - f
+    if samples.u_independent is None:
+        return Residuals(rest / (np.sqrt(np.mean(rest**2)) or 1.0), "their root mean square", False)
+    # As the fit weighs them: the noise of the model's value, not of the noisy one.
+    u = np.sqrt(problem.variance(f))
+    if fit.noise_scale == 1:
+        return Residuals(rest / u, "their standard uncertainties", True)
+    unit = f"{fit.noise_scale:.3g} times their standard uncertainties, as the fit scaled them"
+    return Residuals(rest / (fit.noise_scale * u), unit, True)
+
+
+def maps(samples: BRDFSamples, found: Residuals) -> Chart:
+    """Residuals over the hemisphere of viewing directions, a map for each incidence."""
+    shown = spread(images(samples), MOST_MAPS)
+    each = max(1, MOST_DRAWN // len(shown))
+    views, n = [], 0
+    for image in shown:
+        trace = _map(samples, found.z, image, each)
+        n += len(trace["x"])
+        views.append(View(image.label, [trace, _specular(image)], _disc()))
+    caption = (
+        f"Measured less fitted, in units of {found.unit}; colours end at ±{LIMIT:g}. Equal areas "
+        "of the disc are equal solid angles; the normal is in the middle, circles lie at θr = 30°, "
+        f"60° and 90°, the small cross is the specular direction. Drawn: {n} of {len(samples)} "
+        "samples."
+    )
+    return Chart("residual-maps", "Incidence", tuple(views), caption, height=470)
+
+
+def _map(samples: BRDFSamples, z: FloatArray, image: Image, most: int) -> Trace:
+    at = np.asarray(spread(image.index, most), np.int64)
+    _, _, theta_r, phi_r = (column[at] for column in columns(samples))
+    r = radius(theta_r)
+    text = [
+        f"{t:.0f}°, {p:.0f}°"
+        for t, p in zip(np.degrees(theta_r), np.degrees(phi_r) % 360, strict=True)
+    ]
+    return {
+        "type": "scatter", "mode": "markers", "x": short(r * np.cos(phi_r)),
+        "y": short(r * np.sin(phi_r)), "text": text,
+        "hovertemplate": "θr, φr = %{text}: %{marker.color}<extra></extra>",
+        "marker": {
+            "color": short(z[at], 3), "cmin": -LIMIT, "cmax": LIMIT, "colorscale": _COLOURS,
+            "size": 11, "symbol": "square", "line": {"width": 0},
+            "colorbar": {"thickness": 12, "len": 0.8, "tickvals": [-3, -2, -1, 0, 1, 2, 3]},
+        },
+    }  # fmt: skip
+
+
+def _specular(image: Image) -> Trace:
+    r = radius(image.theta_i)
+    return {
+        "type": "scatter", "mode": "markers", "hoverinfo": "skip",
+        "x": short([-r * np.cos(image.phi_i)]), "y": short([-r * np.sin(image.phi_i)]),
+        "marker": {"symbol": "cross-thin", "size": 12, "line": {"width": 2, "color": "#777777"}},
+    }  # fmt: skip
+
+
+def radius(theta: Any) -> Any:
+    """Distance from the middle of an equal-area disc of radius 1 at the horizon.
+
+    Examples
+    --------
+    >>> float(radius(0.0)), round(float(radius(np.pi / 2)), 12)
+    (0.0, 1.0)
+    """
+    return np.sqrt(2) * np.sin(np.asarray(theta) / 2)
+
+
+def _disc() -> dict[str, Any]:
+    """Circles of constant theta_r on a square without axes."""
+    bare = {"visible": False, "range": [-1.06, 1.06], "constrain": "domain"}
+    circles = [
+        {"type": "circle", "xref": "x", "yref": "y", "x0": -r, "x1": r, "y0": -r, "y1": r,
+         "layer": "below", "line": {"width": 0.8, "color": "#888888"}}
+        for r in map(float, radius(np.radians([30, 60, 90])))
+    ]  # fmt: skip
+    return {
+        "xaxis": bare,
+        "yaxis": {**bare, "scaleanchor": "x"},
+        "shapes": circles,
+        "showlegend": False,
+        "margin": {"l": 10, "r": 10, "t": 10, "b": 10},
+    }
+
+
+def histogram(found: Residuals) -> Chart:
+    """How the residuals are spread, beside what independent normal errors would give."""
+    n = len(found.z)
+    counts, _ = np.histogram(np.clip(found.z, BINS[0], BINS[-1]), BINS)
+    centre, width = (BINS[1:] + BINS[:-1]) / 2, float(BINS[1] - BINS[0])
+    x = np.linspace(BINS[0], BINS[-1], 121)
+    data: list[Trace] = [
+        {"type": "bar", "name": "samples", "x": short(centre), "y": counts.tolist(),
+         "marker": {"color": faded(BLUE, 0.7), "line": {"width": 0}}},
+        {"type": "scatter", "mode": "lines", "name": "normal distribution", "x": short(x),
+         "y": short(n * width * np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)),
+         "line": {"color": VERMILLION, "width": 1.6}},
+    ]  # fmt: skip
+    layout = {"xaxis": axis("residual"), "yaxis": axis("samples"), "bargap": 0}
+    caption = (
+        f"All {n} residuals, in units of {found.unit}; what lies beyond ±5 is counted in the last "
+        "bars. Line: a normal distribution of standard deviation 1."
+    )
+    return Chart("residuals", "", (View("", data, layout),), caption, height=320)

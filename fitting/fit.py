@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gonio import __version__
+from gonio._version import __version__
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.minimum import engines, gauss_newton

@@ -13,7 +13,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import unknown_name
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gonio import __version__
+from gonio._version import __version__
 from gonio.errors import ConfigurationError
 from gonio.files import write_text
 from gonio.geometry import FloatArray

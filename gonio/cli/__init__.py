@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import rich_click as click
 
-from gonio import __version__
+from gonio._version import __version__
 from gonio.errors import GonioError, SessionInterruptedError, unknown_name
 
 # In the order of the work. The help of the group comes from here and imports no command.

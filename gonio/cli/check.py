@@ -71,7 +71,8 @@ def command(
 
 def _model_of(target: str, items: tuple[str, ...]) -> tuple[Model | None, dict[str, float]]:
     """The model and parameters that the target names; no model where it is a file."""
-    from gonio import materials, models
+    import gonio.materials as materials
+    import gonio.models as models
     from gonio.cli.options import parse_parameters
 
     path = Path(target)
@@ -90,7 +91,7 @@ def _model_of(target: str, items: tuple[str, ...]) -> tuple[Model | None, dict[s
 def _check_file(
     path: Path, items: tuple[str, ...], selections: tuple[str, ...], as_json: bool
 ) -> bool:
-    from gonio import formats
+    import gonio.formats as formats
     from gonio.checks import check_samples
     from gonio.cli.options import echo_json
 

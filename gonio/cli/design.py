@@ -119,7 +119,7 @@ def command(
 
 
 def _surface(name: str, items: tuple[str, ...]) -> tuple[Model, dict[str, float]]:
-    from gonio import models
+    import gonio.models as models
     from gonio.cli.options import file_text, parse_parameters
 
     model = models.get(name)

@@ -14,7 +14,7 @@ from typing import Any
 
 import rich_click as click
 
-from gonio import __version__
+from gonio._version import __version__
 
 _DIGITS = 1e-12
 
@@ -111,7 +111,7 @@ def _check(title: str, compute: Callable[[], tuple[float, float]]) -> dict[str, 
 
 def _ward() -> tuple[float, float]:
     """Ward 1992, eq. (5a), in the plane of incidence: 30 deg in, 45 deg out."""
-    from gonio import models
+    import gonio.models as models
     from gonio.geometry import Directions
 
     theta_i, theta_r = math.radians(30), math.radians(45)

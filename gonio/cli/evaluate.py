@@ -63,7 +63,8 @@ def command(
 def _model_and_parameters(
     model: str | None, material: str | None, items: tuple[str, ...]
 ) -> tuple[Model, dict[str, float]]:
-    from gonio import materials, models
+    import gonio.materials as materials
+    import gonio.models as models
     from gonio.cli.options import file_text, parse_parameters
 
     if (model is None) == (material is None):

@@ -73,7 +73,7 @@ def command(
     An instrument of your own is a TOML file: take that of a preset with --toml, change it, and
     give its name to 'gonio simulate --instrument'.
     """
-    from gonio import instrument
+    import gonio.instrument as instrument
     from gonio.cli.options import echo_json
 
     if resolution or map_to is not None:
@@ -100,7 +100,7 @@ def command(
 def _print_file(name: str | None, as_json: bool) -> None:
     from importlib import resources
 
-    from gonio import instrument
+    import gonio.instrument as instrument
 
     if name is None or as_json:
         raise ConfigurationError(

@@ -18,7 +18,7 @@ def command(name: str | None, as_json: bool) -> None:
 
     With NAME the note on that material is shown too. Angles are degrees.
     """
-    from gonio import materials
+    import gonio.materials as materials
     from gonio.cli.options import echo_json
 
     chosen = [materials.get(each) for each in ([name] if name else materials.names())]
@@ -63,7 +63,7 @@ def _show_one(material: Material) -> None:
 
 
 def _parameters(material: Material, separator: str = ", ") -> str:
-    from gonio import models
+    import gonio.models as models
     from gonio.cli.options import file_text
 
     model = models.get(material.model)

@@ -128,7 +128,7 @@ def pairs(selections: tuple[str, ...]) -> dict[str, str]:
 
 def read_source(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
     """Samples from a session folder or from a file, the selected ones (see `pairs`)."""
-    from gonio import formats
+    import gonio.formats as formats
 
     if not source.is_dir():
         return formats.read(source, select=select)

@@ -18,7 +18,7 @@ def command(name: str | None, as_json: bool) -> None:
 
     With NAME the parameters (angles in degrees) and the formula of that model are shown.
     """
-    from gonio import models
+    import gonio.models as models
     from gonio.cli.options import echo_json
 
     chosen = [models.get(each) for each in ([name] if name else models.names())]

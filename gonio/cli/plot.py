@@ -139,7 +139,8 @@ def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str
 
 def _named(source: str, items: tuple[str, ...]) -> _Content:
     """A model or a material by its name, with the parameters that were given."""
-    from gonio import materials, models
+    import gonio.materials as materials
+    import gonio.models as models
     from gonio.cli.options import parse_parameters
 
     sign, _, name = source.partition(":")
@@ -162,7 +163,7 @@ def _read(source: Path, selections: tuple[str, ...]) -> _Content:
 
 def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
     """A fit with what belongs to it; the samples must be there, the rest may be missing."""
-    from gonio import models
+    import gonio.models as models
     from gonio.cli.joint import part_chooser
     from gonio.reporting.inputs import gather
 
@@ -185,7 +186,7 @@ def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
 
 def _measured(path: Path, select: Mapping[str, str]) -> tuple[BRDFSamples, Session | None]:
     """Samples from a file or a session, and the session where it is there."""
-    from gonio import formats
+    import gonio.formats as formats
     from gonio.session import Session
 
     if path.is_dir():
@@ -222,7 +223,7 @@ def _session(path: Path, samples: BRDFSamples) -> Session | None:
 
 def _one_channel(source: Path, samples: BRDFSamples) -> BRDFSamples:
     """One BRDF at a time: of several wavelengths or channels the middle one, and says which."""
-    from gonio import formats
+    import gonio.formats as formats
 
     for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
         values = [] if column is None else sorted(set(column.tolist()))
@@ -241,7 +242,7 @@ def _find(name: str, beside: Path) -> Path | None:
 
 def _drawn(kind: str, content: _Content) -> Figure:
     """The figure of one kind; `content` has what the kind is made of."""
-    from gonio import plotting
+    import gonio.plotting as plotting
 
     fit, samples, session = content.fit, content.samples, content.session
     model, values = content.model, content.parameters

@@ -288,7 +288,8 @@ def _surface(
     model: str | None, material: str | None, items: tuple[str, ...]
 ) -> tuple[Model, dict[str, float]]:
     """The model and all of its parameters, radians for angles."""
-    from gonio import materials, models
+    import gonio.materials as materials
+    import gonio.models as models
     from gonio.cli.options import file_text, parse_parameters
 
     if (model is None) == (material is None):

@@ -181,7 +181,8 @@ def _check_mirror(
 def _surface(
     material: str | None, model: str | None, items: tuple[str, ...]
 ) -> tuple[Model, dict[str, Values]]:
-    from gonio import materials, models
+    import gonio.materials as materials
+    import gonio.models as models
     from gonio.cli.options import file_text
 
     if (material is None) == (model is None):

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
-from gonio import models
+import gonio.models as models
 from gonio.models import Model
 from gonio.models.albedo import directional_albedo
 from gonio.plotting.style import BLUE, GREY, VERMILLION, new_axes, style

@@ -10,7 +10,7 @@ from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure, SubFigure
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError
 from gonio.fitting.result import FitResult
 from gonio.geometry import HORIZON, FloatArray, equal_area, unit_vectors

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
-from gonio import models
+import gonio.models as models
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions, FloatArray
 from gonio.plotting.style import COLOURS, GREY, new_axes, nothing_to_draw, style

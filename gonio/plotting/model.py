@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model

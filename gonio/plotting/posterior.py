@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import blended_transform_factory
 from scipy.ndimage import gaussian_filter
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import DataError
 from gonio.geometry import FloatArray
 from gonio.models import Parameter

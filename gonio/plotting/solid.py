@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError
 from gonio.geometry import HORIZON, unit_vectors
 from gonio.models import Model

@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.figure import Figure, SubFigure
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import DataError
 from gonio.fitting.result import Estimate, FitResult
 from gonio.plotting.frames import default_incidences, frames

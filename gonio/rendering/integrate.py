@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray
 from gonio.kernels import map_blocks

@@ -19,7 +19,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError, unknown_name
 from gonio.geometry import FloatArray
 from gonio.kernels import map_blocks

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError
 from gonio.geometry import HORIZON, FloatArray, unit_vectors
 from gonio.models import Model

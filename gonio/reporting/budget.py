@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.fitting.result import FitResult
 from gonio.plotting.style import COLOURS
 from gonio.reporting.chart import Chart, View, axis, short

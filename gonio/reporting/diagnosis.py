@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import GonioError
 from gonio.fitting.diagnostics.identifiability import profile
 from gonio.fitting.minimum.gauss_newton import minimise

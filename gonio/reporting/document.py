@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable
 from importlib.resources import files
 
-from gonio import __version__
+from gonio._version import __version__
 from gonio.errors import GonioError
 from gonio.reporting import budget, diagnosis, lobe, posterior, residuals, sections
 from gonio.reporting.chart import Chart

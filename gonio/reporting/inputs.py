@@ -8,7 +8,7 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
-from gonio import formats
+import gonio.formats as formats
 from gonio.errors import ConfigurationError, DataError, GonioError
 from gonio.files import sha256_of
 from gonio.fitting.diagnostics.diagnose import usable

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio import models
+import gonio.models as models
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
 from gonio.plotting.lobe import IN_PLANE, SAME_ANGLE, in_plane

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from gonio import models
+import gonio.models as models
 from gonio.fitting.result import FitResult
 from gonio.geometry import FloatArray
 from gonio.models import Parameter

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.fitting.problem.problem import Problem
 from gonio.fitting.result import FitResult
 from gonio.geometry import FloatArray

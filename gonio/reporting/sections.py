@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import GonioError
 from gonio.fitting.result import Estimate, FitResult
 from gonio.plotting.style import unit_text

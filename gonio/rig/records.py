@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import ValidationError
 
-from gonio import __version__
+from gonio._version import __version__
 from gonio.errors import ConfigurationError, DataError
 from gonio.metadata import SCHEMA, Camera, Certificate, LensCalibration, Metadata, Uncertain
 from gonio.rig.headers import Header

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gonio import models
+import gonio.models as models
 from gonio.errors import ConfigurationError
 from gonio.geometry import Directions, FloatArray
 from gonio.metadata import StandardTable

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, unit_vectors
-from gonio.samples import BRDFSamples, SharedTerm
+from gonio.samples import BRDFSamples
+from gonio.shared_term import SharedTerm
 
 COVERAGE = 2.0  # k of the expanded uncertainty: 95 % of a normal distribution
 TELLING = 3.0  # standard uncertainties that f must stand above 0 for a relative one to mean much

@@ -28,7 +28,7 @@ BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
 # ---------------------------------------------------------------- direction of imports
 
 FOUNDATION = {"_version", "errors", "files", "geometry"}
-SURFACE = FOUNDATION | {"kernels", "models", "samples", "data"}
+SURFACE = FOUNDATION | {"kernels", "models", "samples", "shared_term", "data"}
 VERBS = {
     "simulate": "simulation",
     "reduce": "calibration.reduction.reduce",
@@ -45,7 +45,8 @@ ALLOWED = {
     "geometry": {"errors", "files"},
     "kernels": FOUNDATION,
     "models": FOUNDATION | {"kernels"},
-    "samples": FOUNDATION,
+    "shared_term": {"geometry"},
+    "samples": FOUNDATION | {"shared_term"},
     "metadata": {"errors"},
     "board": FOUNDATION,
     "session": FOUNDATION | {"metadata"},
@@ -56,9 +57,10 @@ ALLOWED = {
     "simulation": SURFACE | {"session", "metadata", "materials", "instrument"},
     "rig": SURFACE | {"session", "metadata", "checks", "calibration"},
     # The reducer never sees the truth, the fitter never sees the inside of the instrument.
-    "calibration": FOUNDATION | {"session", "metadata", "samples", "board", "kernels.threads"},
-    "fitting": FOUNDATION | {"samples", "models", "kernels"},
-    "formats": FOUNDATION | {"samples"},
+    "calibration": FOUNDATION
+    | {"session", "metadata", "samples", "shared_term", "board", "kernels.threads"},
+    "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels"},
+    "formats": FOUNDATION | {"samples", "shared_term"},
     "rendering": SURFACE,
     "plotting": ALL,
     "reporting": ALL,

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.calibration.dome.pixel_map import PixelMap, across, error_modes, left_out
 from gonio.calibration.effects.light_terms import light_terms, unknown_light
+from gonio.calibration.image_cells import ImageCells
 from gonio.geometry import FloatArray, rotated
 from gonio.metadata import LampRecord, Limits, Metadata
-from gonio.samples import SharedTerm
-
-if TYPE_CHECKING:
-    from gonio.calibration.reduction.reduce import Part
+from gonio.shared_term import SharedTerm
 
 # Name and meaning of what slope errors do to a lobe, the component of the shift (0 in the plane of
 # incidence, 1 across) and the axis along which it grows; None: alike all over.
@@ -31,7 +27,7 @@ ASSUMED_CONE = 0.1  # relative uncertainty of a half-angle of the lamp that stat
 def shared_terms(
     metadata: Metadata,
     seen: PixelMap,
-    parts: list[Part],
+    parts: list[ImageCells],
     image: NDArray[np.int64],
     incidence: NDArray[np.int64],
 ) -> tuple[SharedTerm, ...]:
@@ -42,7 +38,7 @@ def shared_terms(
     metadata : Metadata
     seen : PixelMap
         The mapping of the pixels.
-    parts : list of Part
+    parts : list of ImageCells
         The images' cells, in the order of the samples.
     image, incidence : ndarray of int64, shape (N,)
         Image and incidence of every sample, channel by channel counted on.
@@ -89,7 +85,7 @@ def notes(metadata: Metadata, seen: PixelMap) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _geometry_terms(seen: PixelMap, parts: list[Part]) -> list[SharedTerm]:
+def _geometry_terms(seen: PixelMap, parts: list[ImageCells]) -> list[SharedTerm]:
     """What eq. (3) leaves out, and the errors of the calibrated figures behind the mapping."""
     at = [part.at.T for part in parts]
     columns, rows = np.concatenate(at, axis=1)
@@ -140,7 +136,7 @@ def _azimuth_terms(limits: Limits) -> list[SharedTerm]:
 
 
 def _slope_terms(
-    metadata: Metadata, parts: list[Part], incidence: NDArray[np.int64]
+    metadata: Metadata, parts: list[ImageCells], incidence: NDArray[np.int64]
 ) -> list[SharedTerm]:
     """What unknown, smooth slope errors of the dome do to a lobe.
 

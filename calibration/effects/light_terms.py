@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.calibration.effects import multibounce
+from gonio.calibration.image_cells import ImageCells
 from gonio.geometry import angles
 from gonio.metadata import Metadata, Plan
-from gonio.samples import SharedTerm
-
-if TYPE_CHECKING:
-    from gonio.calibration.reduction.reduce import Part
+from gonio.shared_term import SharedTerm
 
 
 def light_terms(
     metadata: Metadata,
-    parts: list[Part],
+    parts: list[ImageCells],
     image: NDArray[np.int64],
     incidence: NDArray[np.int64],
 ) -> list[SharedTerm]:
@@ -27,7 +23,7 @@ def light_terms(
     Parameters
     ----------
     metadata : Metadata
-    parts : list of Part
+    parts : list of ImageCells
         The images' cells, in the order of the samples.
     image, incidence : ndarray of int64, shape (N,)
         Image and incidence of every sample, channel by channel counted on.
@@ -55,7 +51,7 @@ def unknown_light(metadata: Metadata) -> tuple[str, ...]:
     return tuple(name for name, is_known in known.items() if not is_known)
 
 
-def _standard_terms(metadata: Metadata, parts: list[Part]) -> list[SharedTerm]:
+def _standard_terms(metadata: Metadata, parts: list[ImageCells]) -> list[SharedTerm]:
     certificate = metadata.standard
     terms = []
     if certificate.uncertainty:
@@ -77,7 +73,7 @@ def _standard_terms(metadata: Metadata, parts: list[Part]) -> list[SharedTerm]:
 
 def _lamp_terms(
     metadata: Metadata,
-    parts: list[Part],
+    parts: list[ImageCells],
     image: NDArray[np.int64],
     incidence: NDArray[np.int64],
 ) -> list[SharedTerm]:
@@ -140,7 +136,7 @@ def _irradiance_terms(plan: Plan, incidence: NDArray[np.int64]) -> list[SharedTe
     ]
 
 
-def _ambient_terms(metadata: Metadata, parts: list[Part]) -> list[SharedTerm]:
+def _ambient_terms(metadata: Metadata, parts: list[ImageCells]) -> list[SharedTerm]:
     """Room light that sample and standard reflect, which no background holds.
 
     Room light of a times the lamp's irradiance at normal incidence turns f into

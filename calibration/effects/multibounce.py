@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gonio.calibration.image_cells import ImageCells
 from gonio.geometry import FloatArray
 from gonio.metadata import Metadata
-from gonio.samples import SharedTerm
-
-if TYPE_CHECKING:
-    from gonio.calibration.reduction.reduce import Part
+from gonio.shared_term import SharedTerm
 
 NAME = "multi-bounce"
 MEANING = "light that reaches the sample twice"
@@ -31,7 +28,7 @@ def is_corrected(metadata: Metadata) -> bool:
     return known and metadata.plan.mode == "reflection"
 
 
-def image_albedo(parts: Sequence[Part]) -> tuple[float, float]:
+def image_albedo(parts: Sequence[ImageCells]) -> tuple[float, float]:
     """Albedo that one image shows for its incidence, and its standard uncertainty.
 
     The integral of f cos(theta_r) over the cells; what no cell sees, beyond the rim and in masked
@@ -39,7 +36,7 @@ def image_albedo(parts: Sequence[Part]) -> tuple[float, float]:
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of ImageCells
         The image's cells.
     """
     value = np.concatenate([part.means[0] for part in parts])
@@ -51,13 +48,13 @@ def image_albedo(parts: Sequence[Part]) -> tuple[float, float]:
     return float(np.clip(np.sum(projected * value) + unseen, 0.0, 1.0)), 0.5 * unseen
 
 
-def corrected(metadata: Metadata, parts: list[Part]) -> list[Part]:
+def corrected(metadata: Metadata, parts: list[ImageCells]) -> list[ImageCells]:
     """The cells with f times (1 + g rho_std)/(1 + g rho), and what is left of the error noted."""
     if not is_corrected(metadata):
         return parts
     g, u_g = metadata.limits.multibounce or 0.0, metadata.limits.u_multibounce or 0.0
     rho_std = metadata.standard.reflectance
-    images: dict[tuple[int, int, int], list[Part]] = {}
+    images: dict[tuple[int, int, int], list[ImageCells]] = {}
     for part in parts:
         images.setdefault((part.channel, part.incidence, part.rotation), []).append(part)
     known = {image: image_albedo(own) for image, own in images.items()}
@@ -75,7 +72,7 @@ def corrected(metadata: Metadata, parts: list[Part]) -> list[Part]:
     return done
 
 
-def terms(metadata: Metadata, parts: list[Part]) -> list[SharedTerm]:
+def terms(metadata: Metadata, parts: list[ImageCells]) -> list[SharedTerm]:
     """The shared error: what the correction leaves, or all of it where there is none."""
     g = metadata.limits.multibounce
     if not g:

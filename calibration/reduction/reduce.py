@@ -18,6 +18,7 @@ from gonio.calibration.faults import session as faults
 from gonio.calibration.faults.evidence import Evidence, Finding
 from gonio.calibration.frames import standard
 from gonio.calibration.frames.exposure import Rate, average, merge
+from gonio.calibration.image_cells import ImageCells
 from gonio.calibration.reduction import cells
 from gonio.calibration.reflector import Mapping
 from gonio.errors import ConfigurationError, DataError
@@ -95,7 +96,7 @@ def reduce(
     n_images = len(channels) * len(incidences) * len(plan.rotations_deg)
     evidence = [Evidence(metadata, table.theta_r, table.phi_r) for _ in channels]
     tasks = [(channel, incidence) for channel in channels for incidence in incidences]
-    parts: list[Part] = []
+    parts: list[ImageCells] = []
     with ThreadPoolExecutor(threads or default_threads()) as pool:
         work = pool.map(
             lambda task: list(
@@ -175,29 +176,6 @@ class _PixelTable:
     phi_r: FloatArray
 
 
-@dataclass(frozen=True)
-class Part:
-    """The cells of one image, frame of the sample."""
-
-    theta_i: float
-    psi: float
-    incidence: int
-    rotation: int
-    means: FloatArray  # value, own variance, shared variance, noise slope
-    centroid: FloatArray
-    at: FloatArray  # mean column and row
-    stray: FloatArray  # stray light as f, and in the standard's image as a part of its signal
-    solid_angle: FloatArray
-    partial: NDArray[np.bool_]
-    members: Cells
-    n_used: int
-    n_saturated: int
-    n_reference: int
-    entry: bool  # cells of the lamp's entry patch
-    channel: int
-    left: float = 0.0  # relative error that the correction of multi-bounce leaves
-
-
 def _pixel_table(metadata: Metadata, seen: PixelMap) -> _PixelTable:
     camera, geometry = metadata.camera, metadata.geometry
     columns, rows = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
@@ -239,7 +217,7 @@ def _reduce_incidence(
     channel: int,
     incidence: int,
     retro: bool,
-) -> Iterator[Part]:
+) -> Iterator[ImageCells]:
     """All rotations of one incidence in one channel, which share background and standard."""
     metadata = session.metadata
     plan, camera = metadata.plan, metadata.camera
@@ -285,7 +263,7 @@ def _reduce_image(
     rotation: int,
     *,
     entry: bool,
-) -> Part:
+) -> ImageCells:
     """Cells of one image, outside the lamp's entry patch or inside it."""
     f = standard.brdf(measured, ref)
     # Splits and weights follow a median-filtered guide, not the noise that is averaged.
@@ -310,7 +288,7 @@ def _reduce_image(
     cone = float(np.radians(metadata.lamp.half_angle_deg or 0.0)) / 2
     w_m, share, offsets = cells.members(first, last, weight_s, table.points, centroid, cone)
     psi = np.radians(metadata.plan.rotations_deg[rotation])
-    return Part(
+    return ImageCells(
         theta_i=float(np.radians(metadata.plan.theta_i_deg[incidence])),
         psi=float(psi),
         incidence=incidence,
@@ -349,7 +327,7 @@ def _at_own_value(means: FloatArray) -> FloatArray:
     return np.stack([means[0], own, shared * np.clip(ratio, 0.7, 1.4) ** 2, slope])
 
 
-def _collect(metadata: Metadata, seen: PixelMap, parts: list[Part]) -> BRDFSamples:
+def _collect(metadata: Metadata, seen: PixelMap, parts: list[ImageCells]) -> BRDFSamples:
     """Put the images' cells together, with the errors they share."""
     parts = [part for part in parts if part.means.shape[1]]
     if not parts:
@@ -413,7 +391,9 @@ def _collect(metadata: Metadata, seen: PixelMap, parts: list[Part]) -> BRDFSampl
     )
 
 
-def _history(metadata: Metadata, seen: PixelMap, parts: list[Part], n: int) -> tuple[str, ...]:
+def _history(
+    metadata: Metadata, seen: PixelMap, parts: list[ImageCells], n: int
+) -> tuple[str, ...]:
     geometry = metadata.geometry
     retro = sum(part.n_used for part in parts if part.entry)
     masked = {

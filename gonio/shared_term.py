@@ -1,0 +1,78 @@
+"""An error that many samples have in common, and what it does to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.geometry import FloatArray
+
+
+@dataclass(frozen=True)
+class SharedTerm:
+    """An error that many samples share: one unknown number with unit variance for each group.
+
+    It moves viewing directions (`shift`, `blur`), turns the sample (`turn`), or changes values, by
+    `relative` times the value times `profile`, plus `offset`.
+
+    Parameters
+    ----------
+    name, meaning : str
+        Short name and one sentence.
+    relative : float
+        Change of a sample's value for one standard deviation, as a fraction of the value.
+    group : ndarray of int64, shape (N,), optional
+        Samples with the same number share one draw; all samples share it where None.
+    shift : ndarray, shape (N, 3), optional
+        Change of the viewing direction for one standard deviation, tangent vectors in radians;
+        used in place of `relative` where given.
+    profile : ndarray, shape (N,), optional
+        Factor on `relative`, sample by sample; 1 where not given.
+    blur : float
+        Standard deviation on each axis, radians, by which viewing directions may be blurred; used
+        in place of `relative` where positive.
+    offset : ndarray, shape (N,), optional
+        Change of the sample's value for one standard deviation whatever the value is, sr^-1; it
+        adds to what `relative` does.
+    turn : float
+        Standard deviation of a turn of the sample about its normal, counter-clockwise, radians:
+        it takes both directions along; used in place of `relative` where positive.
+    typical : bool
+        True where the term stands for errors of many shapes by a typical one, as for an uneven
+        dome: it says how far parameters may be off, and is no unknown that data could tell.
+    """
+
+    name: str
+    meaning: str
+    relative: float = 0.0
+    group: NDArray[np.int64] | None = None
+    shift: FloatArray | None = None
+    blur: float = 0.0
+    profile: FloatArray | None = None
+    offset: FloatArray | None = None
+    turn: float = 0.0
+    typical: bool = False
+
+    def select(self, keep: NDArray[np.int64]) -> SharedTerm:
+        """The term for these samples."""
+        return replace(
+            self,
+            group=None if self.group is None else self.group[keep],
+            shift=None if self.shift is None else self.shift[keep],
+            profile=None if self.profile is None else self.profile[keep],
+            offset=None if self.offset is None else self.offset[keep],
+        )
+
+    @property
+    def moves_directions(self) -> bool:
+        """Whether the error is one of directions and not of the value."""
+        return self.shift is not None or self.blur > 0 or self.turn > 0
+
+    def change(self, value: FloatArray) -> FloatArray:
+        """Change of values (N,) for one standard deviation; 0 where it `moves_directions`."""
+        change = (0.0 if self.moves_directions else self.relative) * value
+        if self.profile is not None:
+            change = change * self.profile
+        return change if self.offset is None else change + self.offset

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,3 +77,68 @@ class SharedTerm:
         if self.profile is not None:
             change = change * self.profile
         return change if self.offset is None else change + self.offset
+
+    @property
+    def n_draws(self) -> int:
+        """How many unknown numbers the term has: one for each group, one without groups."""
+        return max(len(self.labels), 1)
+
+    @property
+    def labels(self) -> list[int | None]:
+        """Group of each draw in the order of `draw`, as `group` has it; [None] without groups.
+
+        Examples
+        --------
+        >>> SharedTerm("lamp", "", 0.01, group=np.array([7, 3, 7])).labels
+        [3, 7]
+        >>> SharedTerm("standard", "", 0.01).labels
+        [None]
+        """
+        return [None] if self.group is None else np.unique(self.group).tolist()
+
+    def draw(self, n: int) -> NDArray[np.int64]:
+        """Number of the draw that each sample has, from 0 on without gaps.
+
+        Parameters
+        ----------
+        n : int
+            Number of samples, which a term without groups does not hold.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+
+        Examples
+        --------
+        >>> SharedTerm("lamp", "", 0.01, group=np.array([7, 3, 7])).draw(3)
+        array([1, 0, 1])
+        """
+        if self.group is None:
+            return np.zeros(n, np.int64)
+        return np.unique(self.group, return_inverse=True)[1].astype(np.int64)
+
+    def columns(self, change: FloatArray) -> Any:
+        """Change of every sample for one standard deviation of every draw.
+
+        Parameters
+        ----------
+        change : ndarray, shape (N,)
+            Change of the samples for one standard deviation of the draw that each has.
+
+        Returns
+        -------
+        scipy.sparse.csr_array, shape (N, draws)
+
+        Examples
+        --------
+        >>> lamp = SharedTerm("lamp", "", 0.01, group=np.array([7, 3, 7]))
+        >>> print(lamp.columns(np.array([1.0, 2.0, 3.0])).toarray())
+        [[0. 1.]
+         [2. 0.]
+         [0. 3.]]
+        """
+        from scipy.sparse import csr_array
+
+        n = len(change)
+        places = (np.arange(n), self.draw(n))
+        return csr_array((change, places), shape=(n, self.n_draws))

@@ -21,7 +21,7 @@ from gonio.kernels import build, default_threads, fastmath, loops, map_blocks, s
 from gonio.kernels.build import Loops
 from gonio.kernels.copies import suspects
 from gonio.kernels.split import split
-from gonio.models import base
+from gonio.models import base, pairs
 
 MODEL = models.get("ward")
 P = np.array([0.2, 0.1, 0.1, 0.25])
@@ -238,7 +238,7 @@ class TestEvaluate:
         assert len(calls) == 1
 
     def test_contiguous_components_are_not_copied(self):
-        parts, shape = base._components(self.W_I, self.W_R)
+        parts, shape = pairs.components(self.W_I, self.W_R)
         assert shape == (3000,)
         for part, given in zip(parts, (*self.W_I.T, *self.W_R.T), strict=True):
             assert np.shares_memory(part, given)

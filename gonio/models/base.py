@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,131 +22,14 @@ from gonio.kernels import (
     single_loops_for,
 )
 from gonio.models import sampling
+from gonio.models.claims import Claims
+from gonio.models.pairs import check_out, components
+from gonio.models.parameter import Parameter
 from gonio.models.sampling import Cosine, Draws, Lobe
 
+__all__ = ["Claims", "Model", "Parameter"]
+
 Real = TypeVar("Real", np.float32, np.float64)
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of a model, declared once and read by CLI, fit, plots, docs and tests.
-
-    Parameters
-    ----------
-    name, symbol, meaning : str
-        The paper's letter spelled out, as a formula shows it, and what it stands for.
-    default, lower, upper : float
-        Default value and the closed range that is allowed, in radians where `unit` is "rad".
-    unit : {"", "rad"}
-        Unit in Python. Files and the command line use degrees for "rad".
-    scale : {"linear", "log"}
-        How a grid of starting values is spaced over the range `start`.
-    linear : bool
-        True where f is linear in this parameter and in all others so marked at once, while the
-        rest is held: a fit solves for these together.
-    start : tuple of float, optional
-        Range that a fit searches for its start; the whole range where not given.
-    prior : str
-        Prior of a posterior, as `gonio.fitting.posterior.priors` reads it, in the unit of files.
-    """
-
-    name: str
-    symbol: str
-    meaning: str
-    default: float
-    lower: float
-    upper: float
-    unit: Literal["", "rad"] = ""
-    scale: Literal["linear", "log"] = "linear"
-    linear: bool = False
-    start: tuple[float, float] | None = None
-    prior: str = "flat"
-
-    @property
-    def file_unit(self) -> str:
-        """Unit on the command line and in files."""
-        return "deg" if self.unit == "rad" else self.unit
-
-    def to_file(self, value: float) -> float:
-        """Value in the unit of files (degrees for angles)."""
-        return math.degrees(value) if self.unit == "rad" else value
-
-    def from_file(self, value: float) -> float:
-        """Value in the unit of Python, from the unit of files."""
-        return math.radians(value) if self.unit == "rad" else value
-
-    def check(self, value: float) -> float:
-        """The value as a float if it lies in the range.
-
-        Raises
-        ------
-        ConfigurationError
-            If it is not a finite number in [lower, upper].
-        """
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            raise ConfigurationError(
-                f"{self.name} = {value!r} is not a number; {self._allowed()}.", value=value
-            ) from None
-        # Degrees in, radians out and back may miss the bound by an ulp.
-        slack = 1e-12 * max(abs(self.lower), abs(self.upper))
-        if not self.lower - slack <= number <= self.upper + slack:
-            raise ConfigurationError(
-                f"{self.name} = {self._show(number)} is out of range; {self._allowed()}.",
-                value=number,
-            )
-        return min(max(number, self.lower), self.upper)
-
-    def _show(self, value: float) -> str:
-        if self.unit == "rad":
-            return f"{value:.6g} rad ({math.degrees(value):.6g} deg)"
-        return f"{value:.6g}"
-
-    def _allowed(self) -> str:
-        return f"allowed is {self._show(self.lower)} to {self._show(self.upper)}"
-
-
-@dataclass(frozen=True)
-class Claims:
-    """What a model promises over its whole range; the contract tests demand exactly this.
-
-    Parameters
-    ----------
-    reciprocal : bool
-        f(i, r) = f(r, i).
-    non_negative : bool
-        f >= 0 for all directions above the horizon.
-    isotropic : bool
-        f depends on phi_i - phi_r only.
-    seams : tuple of (theta_i, phi_i, theta_r, phi_r)
-        Direction pairs, radians, on every branch of the formula: f is continuous across them.
-    lambert_limit : mapping, optional
-        Parameter values at which the model is exactly rho/pi, with `rho` or `rho_d` free.
-    albedo_at_most : tuple of str, optional
-        Names of the parameters whose sum the directional albedo never exceeds, at any incidence
-        and with any parameters that are allowed; 1 where there are none in it. None claims
-        nothing.
-    """
-
-    reciprocal: bool = True
-    non_negative: bool = True
-    isotropic: bool = False
-    seams: tuple[tuple[float, float, float, float], ...] = ()
-    lambert_limit: Mapping[str, float] | None = None
-    albedo_at_most: tuple[str, ...] | None = None
-
-    def albedo_bound(self, parameters: Mapping[str, float]) -> float | None:
-        """Largest directional albedo that is claimed with these parameters; None if none is.
-
-        Examples
-        --------
-        >>> Claims(albedo_at_most=("rho_d", "rho_s")).albedo_bound({"rho_d": 0.25, "rho_s": 0.5})
-        0.75
-        """
-        if self.albedo_at_most is None:
-            return None
-        return sum(parameters[name] for name in self.albedo_at_most) if self.albedo_at_most else 1.0
 
 
 @dataclass(frozen=True)
@@ -279,11 +161,11 @@ class Model:
         >>> models.get("lambert").evaluate(up, up, np.array([0.5]))
         array([0.15915494], dtype=float32)
         """
-        parts, shape = _components(w_i, w_r)
+        parts, shape = components(w_i, w_r)
         if out is None:
             out = np.empty(shape, parts[0].dtype)
         else:
-            _check_out(out, shape, parts[0].dtype)
+            check_out(out, shape, parts[0].dtype)
         self._run(self._loops(parts[0].dtype).evaluate, parts, p, [out.reshape(-1)], threads)
         return out
 
@@ -291,7 +173,7 @@ class Model:
         self, w_i: NDArray[Real], w_r: NDArray[Real], p: FloatArray, *, threads: int | None = None
     ) -> tuple[NDArray[Real], NDArray[Real]]:
         """f, and its derivatives (..., n_parameters), in one compiled pass; as `evaluate`."""
-        parts, shape = _components(w_i, w_r)
+        parts, shape = components(w_i, w_r)
         out: NDArray[Real] = np.empty(shape, parts[0].dtype)
         jac: NDArray[Any] = np.empty((len(self.parameters), out.size), out.dtype)
         loop = self._loops(out.dtype).evaluate_gradient
@@ -438,40 +320,3 @@ class Model:
 def _shown(value: float) -> float:
     """The value to 15 digits, which take back the rounding of degrees to radians and back."""
     return float(f"{value:.15g}")
-
-
-def _components(
-    w_i: NDArray[Any], w_r: NDArray[Any]
-) -> tuple[tuple[NDArray[Any], ...], tuple[int, ...]]:
-    """The six components as flat contiguous arrays, and the common shape of the pairs.
-
-    They are float32 where all directions are, else float64, and read-only: numba compiles loops
-    anew for arrays that may be written and arrays that may not.
-    """
-    w_i, w_r = np.asarray(w_i), np.asarray(w_r)
-    real = np.float32 if w_i.dtype == w_r.dtype == np.float32 else np.float64
-    w_i, w_r = np.broadcast_arrays(w_i.astype(real, copy=False), w_r.astype(real, copy=False))
-    parts = tuple(
-        np.ascontiguousarray(w[..., axis]).reshape(-1) for w in (w_i, w_r) for axis in range(3)
-    )
-    for part in parts:
-        part.flags.writeable = False
-    return parts, w_i.shape[:-1]
-
-
-def _check_out(out: NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-    """Refuse an array that f cannot be written to."""
-    given = f"an array of {out.dtype} and shape {out.shape}"
-    flaw = ""
-    if out.shape != shape or out.dtype != dtype:
-        flaw = f"out is {given}"
-    elif not out.flags.c_contiguous:
-        flaw = f"out is {given} that is not C-contiguous"
-    elif not out.flags.writeable:
-        flaw = f"out is {given} that is read-only"
-    if flaw:
-        raise ConfigurationError(
-            f"{flaw}; for these directions it must be np.empty({shape}, np.{dtype}), or be left "
-            "out.",
-            value=out,
-        )

@@ -19,8 +19,11 @@ from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.image_circle import fit_image_circle
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import angles, unit_vectors
-from gonio.instrument import board_photos
-from gonio.instrument.board_photos import BoardCamera, Photographer, draw_poses, save_photos
+from gonio.instrument import board_photos, board_poses
+from gonio.instrument.board_camera import BoardCamera
+from gonio.instrument.board_files import save_photos
+from gonio.instrument.board_photos import Photographer
+from gonio.instrument.board_poses import draw_poses
 from gonio.plotting.board import rectangles, save_board
 
 RIG = instrument.preset("modern12")
@@ -43,11 +46,11 @@ def fisheye(view):
 
 def facing(board, theta_deg, phi_deg, distance, turn_deg=0.0):
     """A board whose middle lies in a direction, facing the camera."""
-    rotation = board_photos._towards(np.radians(theta_deg), np.radians(phi_deg))
-    rotation = rotation @ board_photos._tilted(0, 0, np.radians(turn_deg))
+    rotation = board_poses._towards(np.radians(theta_deg), np.radians(phi_deg))
+    rotation = rotation @ board_poses._tilted(0, 0, np.radians(turn_deg))
     middle = np.array([*board.size_mm, 0.0]) / 2
     direction = unit_vectors(np.radians(theta_deg), np.radians(phi_deg))
-    return board_photos.Pose(rotation, distance * direction - rotation @ middle)
+    return board_poses.Pose(rotation, distance * direction - rotation @ middle)
 
 
 def shown(view, board, pose):
@@ -237,10 +240,10 @@ def _on_board(view, pose, board):
 
 def test_a_board_is_not_seen_from_behind():
     view, pose = camera(8), facing(CHARUCO, 0, 0, 150)
-    turned = board_photos.Pose(pose.rotation @ np.diag([1.0, -1.0, -1.0]), pose.translation)
+    turned = board_poses.Pose(pose.rotation @ np.diag([1.0, -1.0, -1.0]), pose.translation)
     behind = Photographer(CHARUCO, view).irradiance(turned)
     away = Photographer(CHARUCO, view).irradiance(
-        board_photos.Pose(pose.rotation, pose.translation + np.array([0, 0, 1e9]))
+        board_poses.Pose(pose.rotation, pose.translation + np.array([0, 0, 1e9]))
     )
     np.testing.assert_allclose(behind, away)
 
@@ -304,7 +307,7 @@ def test_photographs_and_what_they_show_are_written(tmp_path):
         assert image.max() > 20000
         rotation = np.array(photo["rotation"])
         assert np.linalg.det(rotation) == pytest.approx(1)
-        pose = board_photos.Pose(rotation, np.array(photo["translation_mm"]))
+        pose = board_poses.Pose(rotation, np.array(photo["translation_mm"]))
         number, *at = photo["corners"][0]
         np.testing.assert_allclose(shown(view, CHARUCO, pose)[number], at)
     with pytest.raises(ConfigurationError, match=r"shots: is there already; give the name of a"):

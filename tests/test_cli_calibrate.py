@@ -18,7 +18,7 @@ from gonio.calibration.lens import projection as lens
 from gonio.calibration.lens.from_photos import calibrate_lens
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import unit_vectors
-from gonio.instrument.board_photos import BoardCamera
+from gonio.instrument.board_camera import BoardCamera
 from gonio.metadata import Camera, LensCalibration
 
 PITCH_UM = 6.9  # modern12 binned 2 x 2

@@ -13,7 +13,7 @@ from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from gonio.board import Board
-    from gonio.instrument.board_photos import BoardCamera
+    from gonio.instrument.board_camera import BoardCamera
 
 _OPTIONS = (
     click.option(
@@ -188,7 +188,8 @@ def command(
         return
     from gonio.cli.progress import progress
     from gonio.instrument import load
-    from gonio.instrument.board_photos import BoardCamera, save_photos
+    from gonio.instrument.board_camera import BoardCamera
+    from gonio.instrument.board_files import save_photos
 
     camera = BoardCamera.of(
         load(instrument),

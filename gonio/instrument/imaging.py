@@ -7,7 +7,7 @@ exact, so that the narrow kernels of pixel, pupil and source act on a lobe as th
 would, to fourth order.
 
 Each stage is a function of its own that takes an instrument and traced rays; `images.py` says in
-which order they follow each other. OPTICS: everything is relative to `white_rate`, the signal of a
+which order they follow each other. Everything is relative to `white_rate`, the signal of a
 perfect white surface lit at normal incidence.
 """
 

@@ -10,9 +10,11 @@ import numpy as np
 
 from benchmarks.timing import Row
 from gonio import models
-from gonio.fitting.minimum.find import Minimum, find_minimum, uncertainties
+from gonio.fitting.minimum.find import find_minimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import sample as posterior
 from gonio.fitting.posterior.convergence import autocorrelation_time
+from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.geometry import Directions, FloatArray
 from gonio.samples import BRDFSamples
 

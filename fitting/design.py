@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.minimum import curvature
 from gonio.fitting.problem.problem import Problem
-from gonio.fitting.uncertainty.covariance import shared_change
+from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray
 from gonio.models import Model
 from gonio.samples import BRDFSamples, SharedTerm

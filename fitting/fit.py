@@ -2,52 +2,39 @@
 
 from __future__ import annotations
 
-import hashlib
-import platform
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-import numpy as np
-
-from gonio._version import __version__
-from gonio.errors import ConfigurationError, DataError
+from gonio.errors import ConfigurationError
 from gonio.fitting.diagnostics.diagnose import diagnose
-from gonio.fitting.minimum import engines, gauss_newton
-from gonio.fitting.minimum.find import (
-    MISFIT,
-    Minimum,
-    find_minimum,
-    goodness,
-    place,
-    settled,
-    uncertainties,
-    without_spikes,
+from gonio.fitting.diagnostics.parts import with_parts
+from gonio.fitting.minimum import engines
+from gonio.fitting.minimum.find import find_minimum, without_spikes
+from gonio.fitting.minimum.joint import find_joint_minimum
+from gonio.fitting.minimum.nuisance import profiled_minimum
+from gonio.fitting.minimum.record import Minimum, goodness
+from gonio.fitting.posterior import predictive
+from gonio.fitting.posterior.at_minimum import (
+    Progress,
+    sampled,
 )
 from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
-from gonio.fitting.problem import nuisance as shared_errors
 from gonio.fitting.problem.losses import CHI2, Loss
-from gonio.fitting.problem.nuisance import Nuisance, NuisanceProblem
-from gonio.fitting.problem.problem import Problem, Weights
+from gonio.fitting.problem.nuisance import NuisanceProblem
+from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
+from gonio.fitting.problem.problem import Weights
+from gonio.fitting.provenance import provenance
 from gonio.fitting.result import FitResult, NuisanceEstimate
-from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
+from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
+from gonio.fitting.warnings import condensed, warnings_of
 from gonio.models import Model
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
-
-if TYPE_CHECKING:  # emcee is slow to import
-    from gonio.fitting.posterior.sample import Chain, Sampler
-
-ALIKE = 3  # warnings that parts of a joint fit give alike, told one by one
-RESTARTS = 2  # times that a posterior may lead to a deeper minimum
-NO_DEEPER = 1e-3  # of the noise squared: as deep, but for rounding
-
-Progress = Callable[[int, int], None]
 
 
 def fit(
@@ -157,30 +144,28 @@ def fit(
     if share is None:
         options |= {"engine": searched_by, "loss": loss}
     found = _minimum(samples, chosen, share, **options)
-    found = _learnt(found, shared_errors.chosen(found.problem.samples, nuisance))
+    found = _learnt(found, profiled_terms(found.problem.samples, nuisance))
     chain = None
     if posterior:
-        found, chain = _sampled(found, priors, seed=seed, sampler=sampler, progress=progress)
+        found, chain = sampled(found, priors, seed=seed, sampler=sampler, progress=progress)
     problem, optimum, doubts = found.problem, found.optimum, found.doubts
     chi2, dof, scale = found.chi2, found.dof, found.noise_scale
     errors, undetected = uncertainties(problem, optimum, scale)
-    warnings = _warnings(found, errors) + doubts
+    warnings = warnings_of(found, errors) + doubts
     estimates, bound_warnings = estimated(problem, optimum, errors, dof)
-    warnings += _condensed(undetected + bound_warnings)
+    warnings += condensed(undetected + bound_warnings)
     # What residuals should look like is known for chi-squared alone.
     diagnostics, diagnosed = diagnose(problem, optimum, scale) if problem.quadratic else ({}, [])
     warnings += diagnosed
     told: tuple[NuisanceEstimate, ...] = ()
     if isinstance(problem, NuisanceProblem):
-        told = shared_errors.estimates(problem, optimum)
-        warnings += shared_errors.pull_warnings(told)
+        told = nuisance_estimates(problem, optimum)
+        warnings += pull_warnings(told)
     summary = None
     if chain is not None:
         summary = chain.summary(problem.parameters, None if draws is None else str(draws))
         estimates = with_quantiles(problem.parameters, estimates, chain.draws)
         if draws is not None:
-            from gonio.fitting.posterior import predictive
-
             predictive.save(chain, Path(draws), problem, scale=scale, seed=seed)
         if not chain.converged:
             warnings.append(
@@ -222,65 +207,6 @@ def fit(
     )
 
 
-def _sampled(
-    found: Minimum,
-    priors: Mapping[str, str | Prior] | None,
-    *,
-    seed: int,
-    sampler: Sampler,
-    progress: Progress | None,
-) -> tuple[Minimum, Chain]:
-    """The posterior, and the minimum where its draws led to a deeper one.
-
-    Raises
-    ------
-    DataError
-        Where there is no noise.
-    """
-    from gonio.fitting.posterior import sample as posteriors
-
-    if found.noise_scale == 0:
-        raise DataError(
-            "the model leaves no residuals and the samples state no uncertainty: there is no "
-            "noise to sample a posterior with; give u_brdf or fit without a posterior."
-        )
-    believed = resolve(found.problem.parameters, priors)
-    for _ in range(RESTARTS + 1):
-        errors, _ = uncertainties(found.problem, found.optimum, found.noise_scale)
-        chain = posteriors.sample(
-            found.problem, found.optimum, errors, seed=seed, sampler=sampler, priors=believed,
-            progress=progress,
-        )  # fmt: skip
-        deeper = _deeper_by_draws(found, chain)
-        if deeper is None:
-            break
-        found = deeper
-        if not deeper.optimum.verified:
-            break
-    return found, chain
-
-
-def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
-    """The minimum below the best draw where it is deeper; unverified where it cannot be taken."""
-    best = chain.draws.reshape(-1, chain.draws.shape[-1])[int(np.argmax(chain.log_density))]
-    problem, optimum = found.problem, found.optimum
-    other = gauss_newton.minimise(problem, best, search=False)
-    if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * found.noise_scale**2:
-        return None
-    if type(problem) is not Problem:
-        told = "the posterior holds a deeper minimum, which the search did not find."
-        return replace(
-            found, optimum=replace(optimum, verified=False), doubts=[*found.doubts, told]
-        )
-    problem, other = settled(problem, other)
-    told = (
-        f"the search found a minimum at {place(problem, optimum)}; the posterior led to a deeper "
-        "one, which was taken."
-    )
-    faults = gauss_newton.gradient_faults(problem, other.p)
-    return Minimum(problem, other, [told], faults, *goodness(problem, other))
-
-
 def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -> None:
     """Refuse what one loss or engine cannot do.
 
@@ -310,11 +236,9 @@ def _minimum(
 ) -> Minimum:
     """The minimum for one BRDF, or for several that share parameters."""
     if share is not None:
-        from gonio.fitting.minimum.joint_fit import find_joint_minimum
-
         words = share.split(",") if isinstance(share, str) else share
         names = [word.strip() for word in words if word.strip()]
-        return find_joint_minimum(samples, model, names, **options)
+        return with_parts(find_joint_minimum(samples, model, names, **options))
     if not isinstance(samples, BRDFSamples):
         raise ConfigurationError(
             "several samples are fitted together with 'share', the names of the parameters that "
@@ -327,7 +251,7 @@ def _learnt(found: Minimum, names: tuple[str, ...]) -> Minimum:
     """The minimum with these shared errors learnt; chi-squared counts their draws as well."""
     if not names:
         return found
-    problem, optimum, doubts = shared_errors.learnt_fit(found.problem, found.optimum, names)
+    problem, optimum, doubts = profiled_minimum(found.problem, found.optimum, names)
     if not optimum.verified:
         optimum, told = without_spikes(problem, optimum)
         doubts = told or doubts
@@ -338,74 +262,3 @@ def _learnt(found: Minimum, names: tuple[str, ...]) -> Minimum:
         found, problem=problem, optimum=optimum, doubts=found.doubts + doubts, chi2=chi2, dof=dof,
         noise_scale=problem.noise,
     )  # fmt: skip
-
-
-def provenance(samples: BRDFSamples) -> dict[str, Any]:
-    """What a result says of its origin: versions of the programs, and the data."""
-    return {
-        "versions": _versions(),
-        "source": {"data_sha256": _data_hash(samples), **samples.metadata},
-    }
-
-
-def _warnings(found: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
-    problem = found.problem
-    warnings = []
-    if not found.optimum.verified:
-        warnings.append("the minimum was not reached: the next step would still change the fit.")
-    if found.optimum.limited:
-        names = " + ".join(problem.parameters[j].name for j in found.optimum.limited)
-        warnings.append(
-            f"{names} is at its bound 1, beyond which the surface would reflect more light than it "
-            "receives: the data alone ask for more; their intervals are those of chi-squared along "
-            "the bound."
-        )
-    warnings += [
-        f"the derivative by {name} that {problem.name} gives is not that of its formula: "
-        "the fit cannot be trusted until the model's kernel is mended."
-        for name in found.faults
-    ]
-    known = problem.weights == "sd" and problem.quadratic and not found.parts
-    if known and found.chi2 / found.dof > MISFIT:
-        warnings.append(
-            f"chi2/dof is {found.chi2 / found.dof:.3g}: the model or effects it does not hold, "
-            "not the noise, make the residuals; the independent uncertainties were multiplied by "
-            f"{errors.noise_scale:.3g}."
-        )
-    if problem.samples.n_negative:
-        warnings.append(
-            f"{problem.samples.n_negative} of {problem.n} values are negative; they were kept as "
-            "noise around zero."
-        )
-    return warnings
-
-
-def _condensed(lines: list[str]) -> list[str]:
-    """Warnings that more than a few parts of a joint fit give alike, as one line each."""
-    groups: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    for line in lines:
-        match = re.match(r"(\w+)\[(.+?)\] ([^(:]+?) ?[(:]", line)
-        key = (match[1], match[3]) if match else ("", line)
-        groups.setdefault(key, []).append((match[2] if match else "", line))
-    told = []
-    for (name, what), items in groups.items():
-        if len(items) <= ALIKE:
-            told += [line for _, line in items]
-        else:
-            told.append(f"{name} {what} in {len(items)} parts: {', '.join(p for p, _ in items)}.")
-    return told
-
-
-def _versions() -> dict[str, str]:
-    packages = ("numpy", "scipy", "numba", "nlopt", "emcee")
-    found = {name: metadata.version(name) for name in packages}
-    return {"gonio": __version__, "python": platform.python_version(), **found}
-
-
-def _data_hash(samples: BRDFSamples) -> str:
-    digest = hashlib.sha256()
-    d = samples.directions
-    for array in (d.theta_i, d.phi_i, d.theta_r, d.phi_r, samples.value, samples.u_independent):
-        if array is not None:
-            digest.update(np.ascontiguousarray(np.broadcast_to(array, (len(samples),))).tobytes())
-    return digest.hexdigest()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gonio import models
-from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.minimum import find
+from gonio.fitting.posterior import ensemble_sampler
 from gonio.fitting.posterior import sample as posterior
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions
@@ -103,7 +104,7 @@ def test_the_posterior_goes_beside_the_result(gonio, table, tmp_path):
 
 def test_a_posterior_that_has_not_converged_leaves_with_1(gonio, table, monkeypatch):
     original = posterior.sample
-    monkeypatch.setattr(posterior, "BLOCK_STEPS", 10)
+    monkeypatch.setattr(ensemble_sampler, "BLOCK_STEPS", 10)
     monkeypatch.setattr(posterior, "sample", lambda *a, **k: original(*a, max_steps=10, **k))
     words = ("--model", "oren_nayar", "--posterior", "--sampler", "emcee")
     code, out, _ = gonio("fit", table(), *words)
@@ -114,7 +115,7 @@ def test_a_posterior_that_has_not_converged_leaves_with_1(gonio, table, monkeypa
 
 
 def test_a_fit_that_misses_its_checks_leaves_with_1(gonio, table, monkeypatch):
-    monkeypatch.setattr(gauss_newton, "gradient_faults", lambda *_: ["sigma"])
+    monkeypatch.setattr(find, "gradient_faults", lambda *_: ["sigma"])
     code, data, _ = fitted(gonio, table(), "--model", "oren_nayar")
     assert code == 1
     assert data["status"] == "not_converged"

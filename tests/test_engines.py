@@ -8,7 +8,8 @@ import pytest
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError
-from gonio.fitting.minimum import engines, gauss_newton
+from gonio.fitting.minimum import engines
+from gonio.fitting.minimum.minimise import minima
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions
@@ -35,7 +36,7 @@ def samples_of(name, n=600, noise=0.01, seed=1):
 @pytest.mark.parametrize("name", TRUTHS)
 def test_all_engines_find_one_minimum(name):
     problem = Problem.from_samples(samples_of(name), models.get(name), threads=1)
-    ends = {key: gauss_newton.minima(problem, engines.get(key))[0] for key in engines.ENGINES}
+    ends = {key: minima(problem, engines.get(key))[0] for key in engines.ENGINES}
     assert all(end.verified for end in ends.values())
     chi2 = np.array([end.chi2 for end in ends.values()])
     np.testing.assert_allclose(chi2, chi2.min(), rtol=1e-9)
@@ -56,7 +57,7 @@ def test_the_result_names_its_engine(engine):
 def test_an_engine_alone_comes_near_the_minimum(engine):
     """The Gauss-Newton steps that follow would hide an engine that does nothing."""
     problem = Problem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
-    best = gauss_newton.minima(problem)[0]
+    best = minima(problem)[0]
     start = np.array([0.3, 0.05, 0.4, 0.4])
     p, evaluations = engines.get(engine)(problem, start)
     assert evaluations > 5

@@ -13,9 +13,11 @@ from gonio.fitting.diagnostics import identifiability as identify
 from gonio.fitting.diagnostics import next_measurement as mending
 from gonio.fitting.diagnostics import residual_report as residuals
 from gonio.fitting.minimum.find import find_minimum
-from gonio.fitting.minimum.gauss_newton import minimise
+from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.problem.problem import Problem
+from gonio.fitting.residual_tests.groups import RINGS
 from gonio.fitting.uncertainty.information import information
+from gonio.fitting.uncertainty.profile_likelihood import profile
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
 
@@ -158,7 +160,7 @@ def test_a_profile_of_a_linear_model_is_its_parabola():
     problem, optimum = fitted(noisy("lambert", {"rho": 0.4}, directions(50)), "lambert", {})
     sd = 1 / np.sqrt(optimum.curvature[0, 0])
     points = optimum.p[0] + sd * np.array([-2.0, 0.0, 1.0, 3.0])
-    growth = identify.profile(problem, optimum, 0, points) - optimum.chi2
+    growth = profile(problem, optimum, 0, points) - optimum.chi2
     np.testing.assert_allclose(growth, [4, 0, 1, 9], atol=1e-6)
 
 
@@ -223,7 +225,7 @@ def test_a_ring_that_is_too_bright_is_found_where_it_is():
     rng = np.random.default_rng(3)
     samples = BRDFSamples(where, f * (1 + 0.01 * rng.standard_normal(400)), u_independent=0.01 * f)
     report = residuals.examine(*fitted(samples, "lambert", {"rho": 0.5}))
-    rings = [p for p in report.maps[residuals.RINGS] if p.z > 3]
+    rings = [p for p in report.maps[RINGS] if p.z > 3]
     assert rings
     for place in rings:
         assert place.theta_i_deg == pytest.approx(60)

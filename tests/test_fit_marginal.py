@@ -11,14 +11,15 @@ from scipy import integrate, stats
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError
-from gonio.fitting.minimum.find import find_minimum, uncertainties
-from gonio.fitting.posterior import density as targets
-from gonio.fitting.posterior import marginal_sampler, predictive, truncated_normal
+from gonio.fitting.minimum.find import find_minimum
+from gonio.fitting.posterior import marginal_density, marginal_sampler, predictive, truncated_normal
 from gonio.fitting.posterior import sample as posterior
-from gonio.fitting.posterior.density import MarginalTarget, WholeTarget
+from gonio.fitting.posterior.density import WholeTarget
+from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior
 from gonio.fitting.posterior.proposal import SHARES, Proposal, pilot
 from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, Cells
 
@@ -160,7 +161,7 @@ def test_cells_are_integrated_over_by_sums_and_by_factors(monkeypatch):
     mode = problem.vector(WARD)
     exact = MarginalTarget(problem, mode, 1.0, [Prior()] * 4, 0.01 * mode)
     assert exact.exact
-    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
+    monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 0)
     fast = MarginalTarget(problem, mode, 1.0, [Prior()] * 4, 0.01 * mode)
     chi2, g, h = problem.normal_equations(mode)
     expected = [chi2, g[0], g[1], h[0, 0], h[0, 1], h[1, 1]]
@@ -174,7 +175,7 @@ def test_cells_are_integrated_over_by_sums_and_by_factors(monkeypatch):
 
 def test_at_the_foot_of_a_lobe_a_cell_is_not_known_by_its_middle(monkeypatch):
     # A corner of each cell reaches into a narrow lobe of which the middle sees next to nothing.
-    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
+    monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 0)
     n, members = 60, 4
     theta_r = np.linspace(0.70, 0.90, n)
     where = Directions(np.full(n, 0.5), 0.0, theta_r, np.pi)

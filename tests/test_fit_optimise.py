@@ -10,6 +10,10 @@ import pytest
 import gonio
 from gonio import models
 from gonio.fitting.minimum import gauss_newton, starting_values
+from gonio.fitting.minimum.derivative_check import gradient_faults
+from gonio.fitting.minimum.minimise import minima, minimise
+from gonio.fitting.minimum.optimum import better
+from gonio.fitting.minimum.variable_projection import scored
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
@@ -60,11 +64,11 @@ def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
     problem = Problem.from_samples(noisy(name, n=40 if model.costly else 1000), model, threads=1)
     rng = np.random.default_rng(2)
     some = [model.vector(random_start(model, rng)) for _ in range(50)]
-    ends = [gauss_newton.minimise(problem, start) for start in some]
+    ends = [minimise(problem, start) for start in some]
     assert all(end.verified for end in ends)
     chi2 = np.array([end.chi2 for end in ends])
     np.testing.assert_allclose(chi2, chi2.min(), rtol=1e-9)
-    free = gauss_newton.minima(problem)[0]
+    free = minima(problem)[0]
     assert free.chi2 == pytest.approx(chi2.min(), rel=1e-9)
     determined = (np.diag(ends[0].curvature) > 0) & ends[0].free
     index = np.ix_(determined, determined)
@@ -99,7 +103,7 @@ def test_twenty_wards_of_twenty_come_back():
         }
         samples = noisy("ward", n=4000, seed=100 + seed, **truth)
         problem = Problem.from_samples(samples, models.get("ward"))
-        end = gauss_newton.minima(problem)[0]
+        end = minima(problem)[0]
         assert end.verified
         np.testing.assert_allclose(end.p, list(truth.values()), rtol=0.05)
 
@@ -118,7 +122,7 @@ def test_several_lobes_are_found_without_a_start(name, truth):
     f = model.evaluate(*where.vectors(), true)
     samples = BRDFSamples(where, f * (1 + 0.01 * np.random.default_rng(10).standard_normal(6000)))
     problem = Problem.from_samples(samples, model)
-    end = gauss_newton.minima(problem)[0]
+    end = minima(problem)[0]
     assert end.verified
     assert end.chi2 <= problem.chi2(true)
     # The diffuse terms are one, so only their sum is known.
@@ -131,7 +135,7 @@ def test_several_lobes_are_found_without_a_start(name, truth):
 
 def test_the_search_for_a_start_is_bounded(monkeypatch):
     asked = []
-    original = starting_values.scored
+    original = scored
     monkeypatch.setattr(
         starting_values,
         "scored",
@@ -193,15 +197,15 @@ def test_fit_from_given_starts_is_the_fit_from_the_data(name):
 def test_the_saddle_at_sigma_0_is_left():
     """f depends on sigma^2: its derivative vanishes at sigma = 0 whatever the data say."""
     problem = Problem.from_samples(noisy("oren_nayar"), models.get("oren_nayar"), threads=1)
-    stuck = gauss_newton.minimise(problem, np.array([0.7, 0.0]), search=False)
-    end = gauss_newton.minimise(problem, np.array([0.7, 0.0]))
+    stuck = minimise(problem, np.array([0.7, 0.0]), search=False)
+    end = minimise(problem, np.array([0.7, 0.0]))
     assert stuck.chi2 > 10 * end.chi2
     assert abs(end.p[1] - 0.4) < 0.01
 
 
 def test_a_lobe_switched_off_at_the_start_is_found():
     problem = Problem.from_samples(noisy("ward"), models.get("ward"), threads=1)
-    end = gauss_newton.minimise(problem, np.array([0.2, 0.0, 2.0, 0.005]))
+    end = minimise(problem, np.array([0.2, 0.0, 2.0, 0.005]))
     assert end.verified
     np.testing.assert_allclose(end.p, list(TRUTHS["ward"].values()), rtol=0.02)
 
@@ -218,9 +222,7 @@ def test_the_minimum_is_that_of_scipy():
 
     samples = noisy("ward", n=300)
     model = models.get("ward")
-    end = gauss_newton.minimise(
-        Problem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1])
-    )
+    end = minimise(Problem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1]))
     w_i, w_r = samples.directions.vectors()
     found = least_squares(
         lambda p: samples.value - model.evaluate(w_i, w_r, p), [0.1, 0.1, 0.1, 0.1],
@@ -281,7 +283,7 @@ def test_the_derivatives_of_every_model_pass(name):
     problem = Problem.from_samples(BRDFSamples(where, model(where) + 1e-3), model)
     for point in ("default", "lower", "upper"):
         p = np.array([getattr(q, point) for q in model.parameters])
-        assert gauss_newton.gradient_faults(problem, p) == []
+        assert gradient_faults(problem, p) == []
 
 
 def test_an_unfinished_minimum_is_not_converged(monkeypatch):
@@ -295,12 +297,12 @@ def test_an_unfinished_minimum_is_not_converged(monkeypatch):
 
 def test_the_deeper_of_two_minima_wins():
     problem = Problem.from_samples(noisy("ward", n=100), models.get("ward"))
-    a = gauss_newton.minimise(problem, np.array([0.1, 0.1, 0.1, 0.1]))
+    a = minimise(problem, np.array([0.1, 0.1, 0.1, 0.1]))
     deeper, same = replace(a, chi2=a.chi2 * 0.9, verified=False), replace(a, verified=False)
-    assert gauss_newton.better(a, deeper) is deeper
-    assert gauss_newton.better(deeper, a) is deeper
-    assert gauss_newton.better(a, same) is a
-    assert gauss_newton.better(same, a) is a
+    assert better(a, deeper) is deeper
+    assert better(deeper, a) is deeper
+    assert better(a, same) is a
+    assert better(same, a) is a
 
 
 def test_the_start_subset_does_not_miss_a_narrow_lobe():

@@ -15,11 +15,13 @@ from scipy import stats
 import gonio
 from gonio import models
 from gonio.errors import DataError
-from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.posterior import density as targets
-from gonio.fitting.posterior import marginal_sampler
+from gonio.fitting.posterior import ensemble_sampler, marginal_density, marginal_sampler
 from gonio.fitting.posterior import sample as posterior
-from gonio.fitting.posterior.density import MarginalTarget, Target
+from gonio.fitting.posterior.density import Target
+from gonio.fitting.posterior.emcee_moves import IndependenceMove, SnookerMove
+from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior
 from gonio.fitting.posterior.proposal import SHARES, Proposal
 from gonio.fitting.problem.problem import Problem
@@ -65,7 +67,7 @@ class Density(Target):
 def run(density, covariance, steps, seed=1):
     """The moves of emcee on a known density: draws (draws, P), and the effective number."""
     rng = np.random.default_rng(seed)
-    chain = posterior._by_emcee(density, np.array(covariance), rng, steps, None)
+    chain = ensemble_sampler.run(density, np.array(covariance), rng, steps, None)
     return chain.draws.reshape(-1, len(covariance)), chain.measures.ess_bulk
 
 
@@ -87,15 +89,15 @@ def test_the_moves_sample_a_truncated_gaussian():
     assert draws[:, 1].var() == pytest.approx(y_var, rel=4 * np.sqrt(3 / ess))
 
 
-@pytest.mark.parametrize("move", ["_SnookerMove", "_IndependenceMove"])
+@pytest.mark.parametrize("move", ["SnookerMove", "IndependenceMove"])
 def test_each_move_alone_leaves_a_gaussian_as_it_is(move):
-    if move == "_SnookerMove":
-        moves = posterior._SnookerMove()
+    if move == "SnookerMove":
+        moves = SnookerMove()
     else:
         box = Density(None, [-20, -20], [20, 20], [0.0, 0.0])
         whole = np.array([0.3, 0.0]), np.diag([1.5, 0.8]) ** 2
         each = (whole[0][None], whole[1][None], np.ones(1))
-        moves = posterior._IndependenceMove(Proposal.about(box, *each, whole, SHARES))
+        moves = IndependenceMove(Proposal.about(box, *each, whole, SHARES))
     sampler = emcee.EnsembleSampler(
         32, 2, lambda b: -0.5 * np.sum(b**2, axis=1), moves=moves, vectorize=True
     )
@@ -130,7 +132,7 @@ def test_a_linear_model_has_its_analytic_posterior(tmp_path):
 def test_draws_have_the_covariance_of_the_fit_where_the_noise_is_small():
     samples = noisy("ward_isotropic", ISOTROPIC, n=400, sd=2e-4)
     problem = Problem.from_samples(samples, models.get("ward_isotropic"))
-    optimum = gauss_newton.minimise(problem, np.array(list(ISOTROPIC.values())))
+    optimum = minimise(problem, np.array(list(ISOTROPIC.values())))
     errors = uncertainty.evaluate(problem, optimum, 1.0)
     chain = posterior.sample(problem, optimum, errors, seed=1)
     assert chain.converged
@@ -159,13 +161,13 @@ def test_shared_terms_move_the_draws():
 
 
 def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
-    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)  # the batched likelihood
+    monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 0)  # the batched likelihood
     # More samples than one block of the likelihood, so that two threads have work.
     samples = noisy("lambert", {"rho": 0.4}, n=16_500, sd=5e-3)
 
     def chain(seed, threads):
         problem = Problem.from_samples(samples, models.get("lambert"), threads=threads)
-        optimum = gauss_newton.minimise(problem, np.array([0.4]))
+        optimum = minimise(problem, np.array([0.4]))
         errors = uncertainty.evaluate(problem, optimum, 1.0)
         return posterior.sample(problem, optimum, errors, seed=seed, max_steps=100)
 
@@ -234,7 +236,7 @@ def test_a_limited_sum_cuts_the_posterior(sampler, tmp_path):
 
 
 def test_a_chain_too_short_says_so(monkeypatch):
-    monkeypatch.setattr(posterior, "BLOCK_STEPS", 10)
+    monkeypatch.setattr(ensemble_sampler, "BLOCK_STEPS", 10)
     original = posterior.sample
     monkeypatch.setattr(posterior, "sample", lambda *a, **k: original(*a, max_steps=10, **k))
     result = gonio.fit(
@@ -257,7 +259,7 @@ def test_progress_is_told():
         noisy("lambert", {"rho": 0.4}, n=50), model="lambert", posterior=True,
         sampler="emcee", progress=lambda *steps: told.append(steps),
     )  # fmt: skip
-    assert told[0] == (posterior.BLOCK_STEPS, posterior.MAX_STEPS)
+    assert told[0] == (ensemble_sampler.BLOCK_STEPS, posterior.MAX_STEPS)
 
 
 def test_without_noise_there_is_no_posterior():
@@ -305,13 +307,13 @@ def celled(sd, spread=0.02, n=400, members=4):
     value = f.reshape(n, members).mean(axis=1) + sd * rng.standard_normal(n)
     samples = BRDFSamples(where, value, u_independent=np.full(n, sd), cells=cells)
     problem = Problem.from_samples(samples, models.get("ward_isotropic"))
-    optimum = gauss_newton.minimise(problem, p)
+    optimum = minimise(problem, p)
     return problem, optimum, uncertainty.evaluate(problem, optimum, 1.0)
 
 
 def test_cell_factors_keep_the_likelihood(monkeypatch):
     problem, optimum, errors = celled(1e-3)
-    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
+    monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 0)
     spread = np.sqrt(np.diag(errors.covariance))
     fast = MarginalTarget(problem, optimum.p, 1.0, [Prior()] * 3, spread)
     assert not fast.exact
@@ -332,11 +334,11 @@ def test_cell_factors_keep_the_likelihood(monkeypatch):
 
 def test_a_broad_posterior_falls_back_to_the_cells(monkeypatch):
     problem, optimum, errors = celled(0.1, spread=0.2, n=100)
-    monkeypatch.setattr(targets, "EXACT_MEMBERS", 0)
+    monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 0)
     slow = posterior.sample(problem, optimum, errors, seed=1, max_steps=300)
     assert slow.warnings == [
         "the lobe changes over the cells within the posterior: the likelihood was integrated over "
         "every cell, which is slower."
     ]
-    monkeypatch.setattr(targets, "EXACT_MEMBERS", 10**9)
+    monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 10**9)
     assert posterior.sample(problem, optimum, errors, seed=1, max_steps=300).warnings == []

@@ -10,9 +10,10 @@ from scipy.optimize import least_squares
 
 import gonio
 from gonio import models
-from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.problem.problem import Problem
-from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.problem.shared_change import _blurred
+from gonio.fitting.uncertainty.profile_likelihood import profile_limit
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
 
@@ -161,7 +162,7 @@ def test_a_blur_is_the_gaussian_blur_to_leading_order():
     where = directions(60, theta_max=60)
     problem = Problem.from_samples(BRDFSamples(where, np.ones(60)), models.get("ward_isotropic"))
     p = np.array([0.3, 0.1, 0.15])
-    quick = uncertainty._blurred(problem, sd, p) - problem.values(p)
+    quick = _blurred(problem, sd, p) - problem.values(p)
     # Gauss-Hermite quadrature over two tangents of the viewing direction.
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
     w_i, w_r = where.vectors()
@@ -324,5 +325,5 @@ def test_odd_data_never_give_nan(what, samples, name):
 def test_profile_of_an_unlimited_parameter_is_none():
     samples = BRDFSamples(directions(50), np.full(50, 1e-3), u_independent=np.full(50, 10.0))
     problem = Problem.from_samples(samples, models.get("lambert"))
-    end = gauss_newton.minimise(problem, np.array([0.5]))
-    assert uncertainty.profile_limit(problem, end, 0, 1.0, side=1) is None
+    end = minimise(problem, np.array([0.5]))
+    assert profile_limit(problem, end, 0, 1.0, side=1) is None

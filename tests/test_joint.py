@@ -12,11 +12,13 @@ from scipy.optimize import least_squares
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting.minimum import gauss_newton
-from gonio.fitting.problem.joint import Channel, JointProblem, joined, split
+from gonio.fitting.minimum.minimise import minimise, pinned_at
+from gonio.fitting.problem.channels import Channel, split
+from gonio.fitting.problem.joined_samples import joined
+from gonio.fitting.problem.joint import JointProblem
 from gonio.fitting.problem.problem import Problem
 from gonio.fitting.result import FitResult
-from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.uncertainty.profile_likelihood import profile_limit
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
 
@@ -388,13 +390,13 @@ def test_a_parts_own_parameter_is_followed_in_the_part_alone():
     """Its limit is that of the whole problem, the other parts to second order."""
     samples = spectrum(rho_s=(0.002, 0.1, 0.1), n=80)
     problem = joint_problem(samples)
-    optimum = gauss_newton.minimise(problem, problem.vector({}), search=False)
+    optimum = minimise(problem, problem.vector({}), search=False)
     j = [q.name for q in problem.parameters].index("rho_s[450 nm]")
-    limit = uncertainty.profile_limit(problem, optimum, j, 3.84, side=1)
+    limit = profile_limit(problem, optimum, j, 3.84, side=1)
 
     def growth(value):
         p = np.where(np.arange(7) == j, value, optimum.p)
-        held = gauss_newton.minimise(gauss_newton.pinned_at(problem, j, value), p, search=False)
+        held = minimise(pinned_at(problem, j, value), p, search=False)
         return held.chi2 - optimum.chi2
 
     # The limit is found to a thousandth of the distance.

@@ -13,11 +13,12 @@ import gonio
 from gonio import cli, models
 from gonio.calibration.effects.all_terms import _azimuth_terms
 from gonio.errors import ConfigurationError
-from gonio.fitting.minimum import gauss_newton
-from gonio.fitting.problem import nuisance
+from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.problem.nuisance import NuisanceProblem
+from gonio.fitting.problem.nuisance_names import parse_names, profiled_terms
 from gonio.fitting.problem.problem import Problem
 from gonio.fitting.result import FitResult, NuisanceEstimate
+from gonio.fitting.uncertainty.nuisance import PULL, pull_warnings
 from gonio.geometry import Directions, angles, rotated, unit_vectors
 from gonio.instrument.images import Fixed, Images
 from gonio.metadata import Limits, Plan
@@ -208,7 +209,7 @@ def test_the_inverse_covariance_is_the_dense_one():
     np.testing.assert_array_equal(some.values(TRUE), problem.values(TRUE)[::2])
     dense = dense[::2, ::2]
     assert some.chi2(TRUE) == pytest.approx(r[::2] @ np.linalg.solve(dense, r[::2]), rel=1e-9)
-    assert not gauss_newton.gradient_faults(problem, TRUE)
+    assert not gradient_faults(problem, TRUE)
 
 
 # ----------------------------------------------------------------------------- limits
@@ -410,11 +411,11 @@ def test_many_honest_draws_are_no_reason_to_warn():
     found = [
         NuisanceEstimate("lamp", k, float(z), 0.1) for k, z in enumerate(rng.standard_normal(2000))
     ]
-    assert max(abs(e.estimate) for e in found) > nuisance.PULL
-    assert nuisance.pull_warnings(found) == []
-    assert nuisance.pull_warnings([NuisanceEstimate("lamp", 1, 3.2, 0.1)])
+    assert max(abs(e.estimate) for e in found) > PULL
+    assert pull_warnings(found) == []
+    assert pull_warnings([NuisanceEstimate("lamp", 1, 3.2, 0.1)])
     # What the data do not know cannot pull.
-    assert nuisance.pull_warnings([NuisanceEstimate("standard", None, 0.5, 0.999)]) == []
+    assert pull_warnings([NuisanceEstimate("standard", None, 0.5, 0.999)]) == []
 
 
 @pytest.mark.parametrize(
@@ -442,11 +443,11 @@ def test_a_family_of_names():
     terms = tuple(SharedTerm(n, "", 0.01) for n in ("geometry, mode 1", "lamp", "geometry, mode 2"))
     where = Directions(*np.full((4, 3), 0.1))
     samples = BRDFSamples(where, np.ones(3), shared=terms)
-    assert nuisance.chosen(samples, nuisance.parsed("geometry")) == (
+    assert profiled_terms(samples, parse_names("geometry")) == (
         "geometry, mode 1",
         "geometry, mode 2",
     )
-    assert nuisance.chosen(samples, nuisance.parsed("lamp,geometry, mode 2")) == (
+    assert profiled_terms(samples, parse_names("lamp,geometry, mode 2")) == (
         "lamp",
         "geometry, mode 2",
     )
@@ -464,7 +465,7 @@ def test_a_typical_shape_is_not_learnt():
             match=f"the shared error '{name}' stands for errors of many shapes by a typical one: "
             "it is propagated and cannot be learnt; others can: standard; azimuth",
         ):
-            nuisance.chosen(samples, [name])
+            profiled_terms(samples, [name])
     # It is propagated through the fit with the others learnt.
     held = learnt(samples, names=["azimuth"]).parameters["rho_d"]
     assert held.components["dome slope, shift"] > 0.003 * held.value
@@ -540,7 +541,7 @@ def test_a_turn_takes_both_directions_along():
     assert term.moves_directions
     samples = BRDFSamples(where, np.ones(len(w_i)), shared=(term,))
     problem = Problem.from_samples(samples, models.get("ward"))
-    from gonio.fitting.uncertainty.covariance import shared_change
+    from gonio.fitting.problem.shared_change import shared_change
 
     change = shared_change(problem, term, TRUE, problem.values(TRUE))
     seen = [

@@ -5,8 +5,9 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.fitting.minimum import gauss_newton
+from gonio.fitting.minimum import minimise as minimise_module
 from gonio.fitting.minimum.find import find_minimum
+from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.posterior import sample as posterior
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
@@ -33,13 +34,13 @@ def test_the_deeper_of_two_minima_is_found():
     assert found.status == "converged"
     assert found.chi2 / found.dof == pytest.approx(1, abs=0.1)
     problem = find_minimum(samples, models.get("ggx")).problem
-    other = gauss_newton.minimise(problem, ELSEWHERE, search=False)
+    other = minimise(problem, ELSEWHERE, search=False)
     assert other.verified
     assert other.chi2 > 10 * found.chi2
 
 
 def test_a_deeper_minimum_among_the_draws_is_taken(monkeypatch):
-    monkeypatch.setattr(gauss_newton, "starts", lambda problem, n=None: [ELSEWHERE])
+    monkeypatch.setattr(minimise_module, "starts", lambda problem, n=None: [ELSEWHERE])
     long = posterior.sample
     monkeypatch.setattr(posterior, "sample", lambda *a, **k: long(*a, **k, max_steps=1000))
     samples = glossy_metal()

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from gonio.fitting.minimum import curvature
-from gonio.fitting.minimum.gauss_newton import UNDETERMINED, Optimum, minimise, pinned_at
+from gonio.fitting.minimum.gauss_newton import UNDETERMINED
+from gonio.fitting.minimum.minimise import minimise, pinned_at
+from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.problem.problem import Problem
-from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray
 
 GAP_DEG = 1.0  # incidences this near are one group
@@ -111,7 +113,7 @@ def held_out(
         columns = [jac[group] @ root]
         gain = root @ root.T / noise_scale**2 @ problem.weighted(jac).T
         for name, term in zip(names, problem.samples.shared, strict=True):
-            change = uncertainty.shared_change(problem, term, refit.p, f)
+            change = shared_change(problem, term, refit.p, f)
             column = _unseen(change, term.group, group, rest, jac, gain)
             if column is None:
                 left_out.add(name)

@@ -9,18 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.diagnostics.next_measurement import Mending, facts, mend
+from gonio.fitting.diagnostics.exchanges import (
+    TAKES_PART,
+    causes_of,
+    depends_on,
+    step_along,
+)
+from gonio.fitting.diagnostics.next_measurement import Mending, mend
 from gonio.fitting.minimum import curvature
-from gonio.fitting.minimum.gauss_newton import Optimum, minimise, pinned_at
+from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.result import plain
-from gonio.fitting.uncertainty.information import information, thinned
+from gonio.fitting.uncertainty.information import information
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
 
 STRONG = 0.95  # correlation that is told
 INFLATED = 10.0  # growth of an uncertainty by exchange that makes it a weak one
-TAKES_PART = 0.1  # component of a unit vector above which a parameter is part of an exchange
 MOST = 20_000  # samples from which the bound is computed
 
 
@@ -134,10 +140,10 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
         if value < UNDETERMINED:
             missing |= set(seen[np.abs(vector) > TAKES_PART].tolist())
     hard = _hardly(problem, optimum, seen, missing, noise_scale)
-    causes = _causes(problem, optimum, seen, values, vectors, scale, missing, hard)
+    causes = causes_of(problem, optimum, seen, values, vectors, scale, missing, hard)
     correlation, pairs = _correlation(problem, h, free, missing)
     curable = [
-        k for k in sorted(missing | hard) if informed[k] or not _depends_on(problem, optimum, k)
+        k for k in sorted(missing | hard) if informed[k] or not depends_on(problem, optimum, k)
     ]
     if not curable and pairs:
         order = [q.name for q in parameters]
@@ -150,7 +156,7 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
         bound=_bounds(problem, optimum, free, missing, noise_scale),
         alone={names[k]: _alone(problem, h, int(k), noise_scale) for k in range(len(parameters))},
         axes=tuple(
-            Axis(float(max(v, 0.0)), _change(problem, optimum, seen, vector / scale))
+            Axis(float(max(v, 0.0)), step_along(problem, optimum, seen, vector / scale))
             for v, vector in zip(values, vectors.T, strict=True)
         ),
         not_identified=tuple(names[k] for k in sorted(missing)),
@@ -159,35 +165,6 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
         causes=tuple(causes),
         mending=mending,
     )
-
-
-def profile(problem: Problem, optimum: Optimum, j: int, points: FloatArray) -> FloatArray:
-    """Smallest chi-squared with parameter j held at each of the points, the others free.
-
-    Parameters
-    ----------
-    problem : Problem
-    optimum : Optimum
-    j : int
-        Number of the parameter.
-    points : ndarray, shape (K,)
-        Values inside the bounds, in the unit of Python.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        Each point starts from the minimum of its neighbour towards the optimum.
-    """
-    chi2 = np.empty(len(points))
-    order = np.argsort(points)
-    at = int(np.searchsorted(points[order], optimum.p[j]))
-    for run in (order[at:], order[:at][::-1]):
-        start = optimum.p
-        for k in run:
-            start = np.where(np.arange(len(start)) == j, points[k], start)
-            held = minimise(pinned_at(problem, j, float(points[k])), start, search=False)
-            chi2[k], start = held.chi2, held.p
-    return chi2
 
 
 # ---------------------------------------------------------------- information
@@ -272,122 +249,3 @@ def _alone(problem: Problem, h: FloatArray, k: int, noise: float) -> float | Non
 
 
 # ---------------------------------------------------------------- words
-
-
-def _change(
-    problem: Problem, optimum: Optimum, seen: NDArray[np.int64], step: FloatArray
-) -> dict[str, float]:
-    """A step along an axis, its largest relative change 10 %, in file units."""
-    size = np.maximum(np.abs(optimum.p[seen]), 1e-12)
-    part = np.abs(step) / size
-    factor = 0.1 / max(float(part.max()), 1e-300)
-    factor *= np.sign(step[int(np.argmax(part))]) or 1.0
-    return {
-        problem.parameters[k].name: problem.parameters[k].to_file(float(s * factor))
-        for k, s in zip(seen.tolist(), step, strict=True)
-    }
-
-
-def _causes(
-    problem: Problem,
-    optimum: Optimum,
-    seen: NDArray[np.int64],
-    values: FloatArray,
-    vectors: FloatArray,
-    scale: FloatArray,
-    missing: set[int],
-    hard: set[int],
-) -> list[str]:
-    """One sentence for each exchange that the data do not see, and each missing effect."""
-    names = [q.name for q in problem.parameters]
-    why = facts(problem)
-    because = f" ({'; '.join(why)})" if why else ""
-    told = []
-    for k in sorted(missing - set(seen.tolist())):
-        told.append(_without_effect(problem, optimum, k))
-    for k in np.flatnonzero(~optimum.free & (np.diag(optimum.curvature) <= 0)).tolist():
-        told.append(_flat_at_bound(problem, optimum, k))
-    for value, vector in zip(values, vectors.T, strict=True):
-        parts = seen[np.abs(vector) > TAKES_PART]
-        if value < UNDETERMINED:
-            told.append(_exchange(problem, optimum, parts, seen, vector / scale) + because + ".")
-    if hard:
-        words = _listed([names[k] for k in sorted(hard)])
-        weakest = next(
-            v for value, v in zip(values, vectors.T, strict=True) if value >= UNDETERMINED
-        )
-        others = [names[m] for m in seen[np.abs(weakest) > TAKES_PART] if m not in hard]
-        by = f"{_listed(others)} can take the place" if others else "one can take another's place"
-        told.append(f"{words} {'are' if len(hard) > 1 else 'is'} hardly determined: {by}{because}.")
-    return told
-
-
-def _exchange(
-    problem: Problem,
-    optimum: Optimum,
-    parts: NDArray[np.int64],
-    seen: NDArray[np.int64],
-    step: FloatArray,
-) -> str:
-    """What is exchanged for what, without the full stop."""
-    names = [problem.parameters[k].name for k in parts]
-    if len(parts) == 2 and all(problem.parameters[k].linear for k in parts):
-        return f"{_listed(names)} scale the same shape in these data: only their sum is determined"
-    change = _change(problem, optimum, seen, step)
-    shown = []
-    for k in parts.tolist():
-        q = problem.parameters[k]
-        value = q.to_file(float(optimum.p[k]))
-        if value:
-            shown.append(f"{100 * change[q.name] / value:+.0f} % in {q.name}")
-        else:
-            shown.append(f"{change[q.name]:+.2g} in {q.name}")
-    return f"{_listed(names)} are exchanged: {_listed(shown)} leave every sample as it is"
-
-
-def _without_effect(problem: Problem, optimum: Optimum, k: int) -> str:
-    """Why a free parameter has no derivative."""
-    names = [q.name for q in problem.parameters]
-    holders = _depends_on(problem, optimum, k)
-    if holders:
-        q = problem.parameters[holders[0]]
-        at = q.to_file(float(optimum.p[holders[0]]))
-        return (
-            f"{names[k]} has no effect while {q.name} is at its bound {at:.4g}: no direction "
-            f"tells of it until the data show {q.name} to lie inside."
-        )
-    why = facts(problem)
-    because = f" ({'; '.join(why)})" if why else ""
-    return f"{names[k]} has no effect on any of these samples{because}."
-
-
-def _depends_on(problem: Problem, optimum: Optimum, k: int) -> list[int]:
-    """Parameters at a bound that take away the effect of parameter k."""
-    found = []
-    for m in np.flatnonzero(~optimum.free).tolist():
-        q = problem.parameters[m]
-        inside = optimum.p.copy()
-        inside[m] += 0.05 * (q.upper - q.lower) * (1 if inside[m] <= q.lower else -1)
-        if np.any(problem.jacobian(inside)[1][:, k] != 0):
-            found.append(m)
-    return found
-
-
-def _flat_at_bound(problem: Problem, optimum: Optimum, k: int) -> str:
-    q = problem.parameters[k]
-    at = q.to_file(float(optimum.p[k]))
-    return (
-        f"{q.name} acts only in second order near its bound {at:.4g}, so that there is no "
-        "curvature there; its limit comes from the profile of chi-squared."
-    )
-
-
-def _listed(words: list[str]) -> str:
-    """Words with commas and an "and".
-
-    Examples
-    --------
-    >>> _listed(["a", "b", "c"])
-    'a, b and c'
-    """
-    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + "".join(words[-1:])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.fitting.minimum.curvature import TAKES_PART, axes
-from gonio.fitting.minimum.gauss_newton import Optimum
+from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
 from gonio.kernels.boxed import UNDETERMINED

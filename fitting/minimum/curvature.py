@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting.minimum.optimum import Optimum
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
 
@@ -49,3 +50,28 @@ def inverse(h: FloatArray, index: NDArray[np.int64]) -> FloatArray:
     return np.asarray(
         np.linalg.inv(h[np.ix_(index, index)] / np.outer(scale, scale)) / np.outer(scale, scale)
     )
+
+
+def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which free parameters the data determine, and the inverse curvature of these, (P, P)."""
+    known = determined(optimum.curvature, optimum.free)
+    index = np.flatnonzero(known)
+    n_p = len(optimum.p)
+    found = np.zeros((n_p, n_p))
+    if len(index):
+        scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
+        scaled = optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
+        # Along a sum that is held at its limit the parameters can move, but not away from it.
+        along = within_sum(scale * np.isin(index, optimum.limited))
+        inside = along @ np.linalg.inv(along.T @ scaled @ along) @ along.T
+        found[np.ix_(index, index)] = inside * np.outer(scale, scale)
+    known[list(optimum.limited)] = False
+    return known, found
+
+
+def within_sum(c: FloatArray) -> FloatArray:
+    """Orthonormal directions (P, P - 1) along which a sum with coefficients c stays."""
+    if not np.any(c):
+        return np.eye(len(c))
+    _, _, rows = np.linalg.svd(c[None])
+    return np.asarray(rows[1:].T)

@@ -16,7 +16,9 @@ import numpy as np
 
 from gonio.errors import unknown_name
 from gonio.fitting.minimum import starting_values
-from gonio.fitting.minimum.gauss_newton import Engine
+from gonio.fitting.minimum.box import Box
+from gonio.fitting.minimum.minimise import Engine
+from gonio.fitting.minimum.variable_projection import scored
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import FloatArray
 from gonio.models import Parameter
@@ -97,7 +99,7 @@ class _Objective:
 
     def __init__(self, problem: Problem, start: FloatArray, *, projected: bool) -> None:
         self.problem = problem
-        self.box = starting_values.Box.of(problem)
+        self.box = Box.of(problem)
         self.projected = projected and problem.quadratic
         searched = [not (self.projected and q.linear) for q in problem.parameters]
         self.index = np.flatnonzero(np.array(searched) & (self.box.lower < self.box.upper))
@@ -109,7 +111,7 @@ class _Objective:
 
     def _value(self, p: FloatArray) -> float:
         if self.projected:
-            chi2, solved = starting_values.scored(self.problem, self.box, p[None])
+            chi2, solved = scored(self.problem, self.box, p[None])
             return self._seen(float(chi2[0]), solved[0])
         return self._seen(float(self.problem.batch_chi2(p[None])[0]), p)
 

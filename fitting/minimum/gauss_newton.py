@@ -3,214 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gonio.fitting.minimum import starting_values
-from gonio.fitting.minimum.curvature import TAKES_PART, axes
+from gonio.fitting.minimum.box import Box
+from gonio.fitting.minimum.curvature import TAKES_PART, axes, within_sum
+from gonio.fitting.minimum.optimum import DEEPER, Optimum
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import FloatArray
 from gonio.kernels import boxed
 from gonio.kernels.boxed import next_point
 
 UNDETERMINED: float = boxed.UNDETERMINED  # smallest part of the curvature that is information
-STARTS = 2  # starting values that are followed to their minimum,
-MANY_STARTS = 8  # and where more than two parameters are nonlinear: chi2 then has more than one
-FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples
-FIRST = 4000  # samples on which a start is followed before all are used
 POLISH_STEPS = 300
 STOP = 1e-5  # the polish ends where its next step is this part of the uncertainty
 VERIFIED = 1e-3  # a minimum is verified where it is this part
-SAME_PLACE = 0.1  # of the uncertainty: two ends that are nearer are one minimum
 ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
 NEAR_BOUND = 1e-6  # of the range: near enough to a bound to be put on it
-DEEPER = 1e-9  # relative difference of chi-squared that is not rounding
-SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient
-CHECKED = 12  # samples at which derivatives are compared
-
-# A way from a start to the neighbourhood of a minimum: the point and the passes over the data.
-Engine = Callable[[Problem, FloatArray], tuple[FloatArray, int]]
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """A minimum of chi-squared.
-
-    Parameters
-    ----------
-    p : ndarray
-        Parameters.
-    chi2 : float
-    gradient, curvature : ndarray
-        J^T W r and J^T W J at p.
-    free : ndarray of bool
-        Parameters that do not lie on a bound.
-    evaluations : int
-        Model passes over the data.
-    verified : bool
-        The next Gauss-Newton step is far below the uncertainties, and half a standard uncertainty
-        away along every axis of the uncertainty ellipsoid chi-squared is larger.
-    limited : tuple of int
-        Reflectances whose sum would exceed 1 were it not held there; empty where it is not.
-    """
-
-    p: FloatArray
-    chi2: float
-    gradient: FloatArray
-    curvature: FloatArray
-    free: NDArray[np.bool_]
-    evaluations: int
-    verified: bool
-    limited: tuple[int, ...] = ()
-
-
-def starts(problem: Problem, n: int | None = None) -> list[FloatArray]:
-    """The best n starting values, searched for in the data (`starting_values.candidates`)."""
-    if n is None:
-        nonlinear = sum(not q.linear and q.lower < q.upper for q in problem.parameters)
-        n = STARTS if nonlinear <= 2 else MANY_STARTS
-    return starting_values.candidates(problem, n)
-
-
-def minimise(
-    problem: Problem,
-    start: FloatArray,
-    *,
-    search: bool = True,
-    near: bool = False,
-    engine: Engine | None = None,
-) -> Optimum:
-    """Follow one start to its minimum: an engine, then Gauss-Newton steps inside the bounds.
-
-    Parameters
-    ----------
-    problem : Problem
-    start : ndarray
-        Any point inside the bounds; the linear parameters are solved for there.
-    search : bool
-        Where the minimum lies on a bound, lacks curvature, or is not verified, follow the best
-        starting value of the data as well and keep the deeper minimum: chi-squared may be
-        stationary on a bound without a minimum there (f depends on sigma^2 only).
-    near : bool
-        The start is nearer to the minimum than that of a part of the samples is.
-    engine : callable, optional
-        What goes before the Gauss-Newton steps; nothing by default.
-    """
-    optimum = _followed(problem, start, engine, near=near or not search)
-    lobe_lost = np.any(np.diag(optimum.curvature) <= 0)
-    if search and not (optimum.verified and optimum.free.all() and not lobe_lost):
-        other = _followed(problem, starts(problem, 1)[0], engine)
-        optimum = better(optimum, other)
-    return optimum
-
-
-def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
-    """The minima to which the best starting values of the data lead, deepest first.
-
-    Of many samples a start is followed on some first, and on all only where it leads to another
-    place than a better one.
-    """
-    first = problem.subset(FIRST) if problem.n > 2 * FIRST else problem
-    ends: list[_State] = []
-    evaluations = 0
-    for start in starts(problem):
-        point = start
-        if engine is not None:
-            point, n = engine(problem, start)
-            evaluations += n
-        ends.append(_marquardt(first if engine is None else problem, point))
-    ends.sort(key=lambda end: end.chi2)
-    found: list[Optimum] = []
-    kept: list[_State] = []
-    for end in ends:
-        evaluations += end.evaluations
-        if any(_same_place(first, other, end) for other in kept):
-            continue
-        if first is not problem and kept and end.chi2 > FAR * kept[0].chi2:
-            continue
-        kept.append(end)
-        found.append(_polish(problem, end.p if end.problem is not problem else end, evaluations))
-        evaluations = 0
-    best = found[0]
-    for other in found[1:]:
-        best = better(best, other)
-    return [best, *(other for other in found if other is not best)]
-
-
-def better(first: Optimum, second: Optimum) -> Optimum:
-    """The deeper of two minima; the verified one, else the first, where they are the same."""
-    slack = DEEPER * min(first.chi2, second.chi2)
-    if second.chi2 < first.chi2 - slack:
-        return second
-    if second.chi2 <= first.chi2 + slack and second.verified and not first.verified:
-        return second
-    return first
-
-
-def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
-    """Parameters whose derivative, as the kernel gives it, is no derivative of the model.
-
-    The derivatives of a few samples are compared with central differences; a wrong one moves the
-    point at which the fit stops and believes itself at the minimum.
-    """
-    parameters = problem.parameters
-    some = _telling(problem, p)
-    faulty = []
-    for j, q in enumerate(parameters):
-        width = q.upper - q.lower
-        step = float(np.finfo(float).eps ** (1 / 3) * max(abs(p[j]), 1e-3 * width))
-        if not 0 < 2 * step < width:
-            continue
-        centre = p.copy()
-        centre[j] = min(max(p[j], q.lower + step), q.upper - step)
-        ends = [centre.copy(), centre.copy()]
-        ends[0][j] += step
-        ends[1][j] -= step
-        quotient = (some.values(ends[0]) - some.values(ends[1])) / (2 * step)
-        f, jac = some.jacobian(centre)
-        analytic = jac[:, j]
-        largest = max(abs(analytic).max(), abs(quotient).max())
-        rounding = 1e-14 * abs(f).max() / step
-        if not abs(analytic - quotient).max() <= SAME_GRADIENT * largest + rounding:
-            faulty.append(q.name)
-    return faulty
-
-
-def _telling(problem: Problem, p: FloatArray) -> Problem:
-    """A few samples: those on which each derivative is strongest, and some over all."""
-    coarse = (
-        problem.subset(starting_values.SUBSET)
-        if problem.n > 2 * starting_values.SUBSET
-        else problem
-    )
-    _, jac = coarse.jacobian(p)
-    n, strong = coarse.n, min(4, coarse.n)
-    weighted = abs(jac) * np.sqrt(coarse.inverse_variance)[:, None]
-    strongest = np.argpartition(weighted, -strong, axis=0)[-strong:]
-    taken = np.zeros(n, bool)
-    taken[strongest] = True
-    taken[np.linspace(0, n - 1, min(CHECKED, n)).astype(np.int64)] = True
-    return coarse.at(np.flatnonzero(taken))
-
-
-def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
-    """The minimum with parameter j on its lower bound; verified as one of the other parameters."""
-    q = problem.parameters[j]
-    pinned = minimise(pinned_at(problem, j, q.lower), optimum.p, search=False)
-    p = np.where(np.arange(len(optimum.p)) == j, q.lower, pinned.p)
-    chi2, g, h = problem.normal_equations(p)
-    free = pinned.free & (np.arange(len(p)) != j)
-    return Optimum(p, chi2, g, h, free, pinned.evaluations, pinned.verified, pinned.limited)
-
-
-def pinned_at(problem: Problem, j: int, value: float) -> Problem:
-    """The problem with parameter j held at a value."""
-    parameters = list(problem.parameters)
-    parameters[j] = replace(parameters[j], lower=value, upper=value, scale="linear", linear=False)
-    return problem.with_parameters(tuple(parameters))
 
 
 @dataclass
@@ -218,7 +28,7 @@ class _State:
     """Where Gauss-Newton steps stand: a point, chi-squared there, its slope and its curvature."""
 
     problem: Problem
-    box: starting_values.Box
+    box: Box
     size: float
     p: FloatArray
     chi2: float
@@ -229,7 +39,7 @@ class _State:
     @classmethod
     def at(cls, problem: Problem, p: FloatArray) -> _State:
         """The state at the point inside the bounds that is nearest to p."""
-        box = starting_values.Box.of(problem)
+        box = Box.of(problem)
         p = box.inside(p)
         value = problem.samples.value
         size = math.sqrt(float(np.vdot(value * value, problem.inverse_variance)))
@@ -260,28 +70,6 @@ class _State:
     def moved(self, p: FloatArray, chi2: float, g: FloatArray, h: FloatArray) -> None:
         """Stand at another point."""
         self.p, self.chi2, self.g, self.h = p, chi2, g, h
-
-
-def _followed(
-    problem: Problem, start: FloatArray, engine: Engine | None, *, near: bool = False
-) -> Optimum:
-    p = starting_values.amplitudes_solved(problem, start)
-    evaluations = 1
-    if engine is not None:
-        p, n = engine(problem, p)
-        evaluations += n
-    elif problem.n > 2 * FIRST and not near:
-        end = _marquardt(problem.subset(FIRST), p)
-        p, evaluations = end.p, end.evaluations
-    return _polish(problem, p, evaluations)
-
-
-def _same_place(problem: Problem, first: _State, second: _State) -> bool:
-    step = starting_values.ordered(problem, second.p) - starting_values.ordered(problem, first.p)
-    apart = float(step @ first.h @ step)
-    lost = np.diag(first.h) <= 0
-    moved = np.any(step[lost] != 0)
-    return not moved and apart <= (SAME_PLACE * first.noise) ** 2
 
 
 def _polish(problem: Problem, start: FloatArray | _State, evaluations: int) -> Optimum:
@@ -407,11 +195,3 @@ def _deeper_nearby(state: _State, optimum: Optimum) -> tuple[FloatArray | None, 
     floor = (ROUNDING * state.size) ** 2
     deeper = trials[k] if chi2[k] < optimum.chi2 * (1 - DEEPER) - floor else None
     return deeper, len(trials)
-
-
-def within_sum(c: FloatArray) -> FloatArray:
-    """Orthonormal directions (P, P - 1) along which a sum with coefficients c stays."""
-    if not np.any(c):
-        return np.eye(len(c))
-    _, _, rows = np.linalg.svd(c[None])
-    return np.asarray(rows[1:].T)

@@ -7,74 +7,28 @@ pass over a few samples gives their best values between the bounds at each point
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting.minimum.box import Box
+from gonio.fitting.minimum.grids import (
+    MOST,
+    grid,
+    grid_size,
+)
+from gonio.fitting.minimum.variable_projection import scored
 from gonio.fitting.problem.losses import CHI2
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import FloatArray
-from gonio.kernels.boxed import solve_amplitudes
-from gonio.models import Parameter
 
 SUBSET = 2000  # samples that choose among the starting values
 FEW = 400  # samples that choose which points these are asked about
-GRID = 9  # values along each nonlinear parameter, where there are few
-MOST = 800  # points of a grid
 RESCORED = 10
 TURN = 410  # points when a lobe is added
 BEAM = 5  # combinations of lobes that are kept while lobes are added
 APART = 0.4  # of the sum of two values: starts that are nearer in all parameters are one
-
-
-@dataclass(frozen=True)
-class Box:
-    """Where a parameter vector may lie: bounds, and a limit on a sum.
-
-    Parameters
-    ----------
-    lower, upper : ndarray, shape (P,)
-    c : ndarray, shape (P,)
-        1 for the parameters whose sum is at most 1; all 0 where there is no limit.
-    """
-
-    lower: FloatArray
-    upper: FloatArray
-    c: FloatArray
-
-    @classmethod
-    def of(cls, problem: Problem) -> Box:
-        """The box of a problem's parameters."""
-        parameters = problem.parameters
-        c = np.zeros(len(parameters))
-        c[list(problem.sum_at_most_one)] = 1.0
-        lower = np.array([q.lower for q in parameters])
-        return cls(lower, np.array([q.upper for q in parameters]), c)
-
-    def inside(self, p: FloatArray) -> FloatArray:
-        """The point moved into the bounds, then towards the lower ones until the sum fits.
-
-        A point within rounding of a bound is put on it.
-        """
-        hair = 1e-15 * (self.upper - self.lower)
-        p = np.where(p <= self.lower + hair, self.lower, p)
-        p = np.where(p >= self.upper - hair, self.upper, p)
-        total = float(self.c @ p)
-        if total > 1.0:
-            low = float(self.c @ self.lower)
-            share = max(1.0 - low, 0.0) / (total - low) if total > low else 0.0
-            p = np.where(self.c > 0, self.lower + share * (p - self.lower), p)
-        return p
-
-
-def amplitudes_solved(problem: Problem, p: FloatArray) -> FloatArray:
-    """The point with the linear parameters at their best inside the bounds."""
-    if not problem.quadratic:
-        return p
-    return np.asarray(scored(problem, Box.of(problem), p[None])[1][0])
 
 
 def candidates(problem: Problem, n: int) -> list[FloatArray]:
@@ -95,8 +49,8 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
     nonlinear = [j for j, q in enumerate(problem.parameters) if not q.linear]
     base[nonlinear] = [problem.parameters[j].default for j in nonlinear]
     base = np.clip(base, box.lower, box.upper)
-    if len(groups) < 2 or _size(problem, nonlinear) <= MOST:
-        points = _grid(problem, nonlinear, base)
+    if len(groups) < 2 or grid_size(problem, nonlinear) <= MOST:
+        points = grid(problem, nonlinear, base)
     else:
         points = _lobe_by_lobe(problem, few, box, groups, base)
     points = np.array([ordered(problem, p) for p in points]) if len(groups) > 1 else points
@@ -121,68 +75,6 @@ def ordered(problem: Problem, p: FloatArray) -> FloatArray:
 
 def _few(coarse: Problem) -> Problem:
     return coarse.subset(FEW) if coarse.n > 2 * FEW else coarse
-
-
-def scored(problem: Problem, box: Box, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """chi-squared and the points, with the linear parameters at their best at each."""
-    points = np.array(points, float)
-    linear = np.array([j for j, q in enumerate(problem.parameters) if q.linear], np.int64)
-    linear = linear[box.lower[linear] < box.upper[linear]]
-    if len(linear) == 0:
-        return problem.batch_chi2(points), points
-    rows = np.concatenate([[0], linear + 1])
-    products = problem.products(points, rows)
-    chi2 = solve_amplitudes(products, points, linear, box.lower, box.upper, box.c, 1.0)
-    return np.where(np.isfinite(chi2), chi2, np.inf), points
-
-
-def _axis(q: Parameter, n: int) -> FloatArray:
-    if q.lower == q.upper:
-        return np.array([q.lower])
-    low, high = q.start or (q.lower, q.upper)
-    low, high = max(low, q.lower), min(high, q.upper)
-    return np.geomspace(low, high, n) if q.scale == "log" else np.linspace(low, high, n)
-
-
-def _counts(problem: Problem, index: Sequence[int], most: int) -> int:
-    """Values along each parameter so that a grid has at most `most` points."""
-    free = sum(problem.parameters[j].lower < problem.parameters[j].upper for j in index)
-    n = GRID
-    while n > 2 and n**free > most:
-        n -= 1
-    return n
-
-
-def _size(problem: Problem, index: Sequence[int]) -> int:
-    free = sum(problem.parameters[j].lower < problem.parameters[j].upper for j in index)
-    return int(GRID**free)
-
-
-def _grid(problem: Problem, index: Sequence[int], base: FloatArray, most: int = MOST) -> FloatArray:
-    """All points of a grid over these parameters, the others as in `base`."""
-    n = _counts(problem, index, most)
-    axes = [_axis(problem.parameters[j], n) for j in index]
-    if n ** len(index) > 4 * most:
-        mixed = _low_discrepancy(len(index), most)
-        axes = [_axis(problem.parameters[j], most) for j in index]
-        values = np.array(
-            [a[np.minimum((m * len(a)).astype(int), len(a) - 1)]
-             for a, m in zip(axes, mixed.T, strict=True)]
-        ).T  # fmt: skip
-    else:
-        values = np.array(list(itertools.product(*axes)), float)
-    points = np.repeat(base[None], len(values), axis=0)
-    points[:, list(index)] = values
-    return points
-
-
-def _low_discrepancy(dimensions: int, n: int) -> FloatArray:
-    """Roberts' sequence: multiples of powers of the generalised golden ratio, modulo 1."""
-    phi = 2.0
-    for _ in range(60):
-        phi = (1 + phi) ** (1 / (dimensions + 1))
-    steps = phi ** -np.arange(1.0, dimensions + 1)
-    return np.asarray((0.5 + np.arange(1, n + 1)[:, None] * steps) % 1.0)
 
 
 def _groups(problem: Problem) -> list[NDArray[np.int64]]:
@@ -221,7 +113,7 @@ def _lobe_by_lobe(
         off.upper[linear[k]] = box.upper[linear[k]]
         most = TURN // (BEAM if turn < len(order) else 2)
         tried = np.concatenate(
-            [_grid(problem, own[k], p, most) for p in beam[: min(TURN // most, BEAM)]]
+            [grid(problem, own[k], p, most) for p in beam[: min(TURN // most, BEAM)]]
         )
         chi2, solved = scored(few, off, tried)
         best = _distinct(chi2, solved, BEAM)

@@ -9,17 +9,15 @@ against the model.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.files import atomic_path
+from gonio.fitting.posterior.chain import Chain
 from gonio.fitting.problem.problem import Problem
 from gonio.geometry import FloatArray
-
-if TYPE_CHECKING:
-    from gonio.fitting.posterior.sample import Chain
 
 MAX_DRAWS = 200
 MIN_DRAWS = 20

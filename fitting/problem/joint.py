@@ -5,129 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import unknown_name
+from gonio.fitting.problem.channels import (
+    Channel,
+)
+from gonio.fitting.problem.joined_samples import (
+    cells_within,
+    joined,
+    joined_cells,
+)
 from gonio.fitting.problem.problem import Problem
-from gonio.geometry import Directions, FloatArray
+from gonio.geometry import FloatArray
 from gonio.models import Model, Parameter
-from gonio.samples import BRDFSamples, Cells, SharedTerm
-
-Source = BRDFSamples | Sequence[BRDFSamples] | Mapping[str, BRDFSamples]
-
-
-@dataclass(frozen=True)
-class Channel:
-    """The samples of one part of a joint fit: one BRDF.
-
-    Parameters
-    ----------
-    label : str
-        "red", "650 nm", "paint_a", or "paint_a, red".
-    material : str
-        Name of the source, empty where there is one source only.
-    source : int
-        Which of the sources the samples are of.
-    select : mapping of str to str
-        Takes these samples out of their source, as `gonio.formats.choose` understands it.
-    samples : BRDFSamples
-    """
-
-    label: str
-    material: str
-    source: int
-    select: Mapping[str, str]
-    samples: BRDFSamples
-
-
-def split(samples: Source) -> list[Channel]:
-    """Channels, wavelengths and materials, each for itself.
-
-    Parameters
-    ----------
-    samples : BRDFSamples, or a sequence or mapping of them
-        Several are several materials, named by the keys of the mapping, or else by their sample
-        or file.
-
-    Returns
-    -------
-    list of Channel
-        Material by material; by wavelength where it is known, else in the order of the samples.
-
-    Examples
-    --------
-    >>> theta = np.array([0.1, 0.2, 0.3])
-    >>> two = BRDFSamples(
-    ...     Directions(theta, 0.0, theta, 0.0), theta, wavelength_nm=np.array([650.0, 450.0, 650.0])
-    ... )
-    >>> [(c.label, c.samples.value.tolist()) for c in split(two)]
-    [('450 nm', [0.2]), ('650 nm', [0.1, 0.3])]
-    """
-    named = _named(samples)
-    found = []
-    for k, (name, one) in enumerate(named.items()):
-        material = name if len(named) > 1 else ""
-        for label, select, keep in _channels_of(one):
-            part = one if keep is None else one.select(keep, ", ".join(select.values()))
-            both = ", ".join(word for word in (material, label) if word) or name
-            found.append(Channel(both, material, k, select, part))
-    return found
-
-
-def _named(samples: Source) -> dict[str, BRDFSamples]:
-    """The sources by name; names that occur twice are numbered."""
-    if isinstance(samples, BRDFSamples):
-        return {_own_name(samples) or "all": samples}
-    if isinstance(samples, Mapping):
-        return dict(samples)
-    named: dict[str, BRDFSamples] = {}
-    for k, one in enumerate(samples, 1):
-        name = _own_name(one) or str(k)
-        named[name if name not in named else f"{name} ({k})"] = one
-    return named
-
-
-def _own_name(samples: BRDFSamples) -> str:
-    known = samples.metadata
-    return str(known.get("sample") or Path(str(known.get("path") or "")).stem)
-
-
-def _channels_of(
-    samples: BRDFSamples,
-) -> list[tuple[str, dict[str, str], NDArray[np.bool_] | None]]:
-    """Label, selection and mask of every channel or wavelength; the mask is None where one is."""
-    names, of_name = _distinct(samples.channel, len(samples))
-    lengths, of_length = _distinct(samples.wavelength_nm, len(samples))
-    pairs, first, part = np.unique(
-        np.stack([of_name, of_length]), axis=1, return_index=True, return_inverse=True
-    )
-    n = pairs.shape[1]
-    if n == 1:
-        return [("", {}, None)]
-    # A channel of one wavelength is called by its name alone, a wavelength of one channel by nm.
-    by_name = len(names) == n or len(lengths) < n
-    by_length = len(names) < n
-    found = []
-    for k in sorted(range(n), key=lambda k: (pairs[1, k], first[k])):
-        select, words = {}, []
-        if by_name:
-            select["channel"] = str(names[pairs[0, k]])
-            words.append(select["channel"])
-        if by_length:
-            select["wavelength"] = f"{lengths[pairs[1, k]]:.9g}"
-            words.append(f"{select['wavelength']} nm")
-        found.append((", ".join(words), select, part.ravel() == k))
-    return found
-
-
-def _distinct(column: NDArray[Any] | None, n: int) -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """Distinct values, and which of them each sample has."""
-    values, index = np.unique(np.zeros(n) if column is None else column, return_inverse=True)
-    return values, index.astype(np.int64)
+from gonio.samples import BRDFSamples, Cells
 
 
 @dataclass(frozen=True)
@@ -190,7 +84,7 @@ class JointProblem(Problem):
             samples=joined(channels),
             inverse_variance=np.concatenate([problem.inverse_variance for problem in problems]),
             w_i=np.concatenate([problem.w_i for problem in problems]),
-            cells=_joined_cells([problem.cells for problem in problems]),
+            cells=joined_cells([problem.cells for problem in problems]),
         )
         plain = cls(
             **{item.name: getattr(base, item.name) for item in fields(base)},
@@ -268,7 +162,7 @@ class JointProblem(Problem):
         """The model integrated over every cell, shape (N,), sr^-1."""
         out = np.empty(self.n)
         for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
-            own = None if cells is None else _cells_within(cells, where)
+            own = None if cells is None else cells_within(cells, where)
             out[where] = part.values(p[place], own)
         return out
 
@@ -356,7 +250,7 @@ class JointProblem(Problem):
             parts=parts,
             inverse_variance=np.concatenate([part.inverse_variance for part in parts]),
             w_i=np.concatenate([part.w_i for part in parts]),
-            cells=_joined_cells([part.cells for part in parts]),
+            cells=joined_cells([part.cells for part in parts]),
         )
 
 
@@ -418,117 +312,7 @@ def _named_parameters(
 # ---------------------------------------------------------------------- one list of samples
 
 
-def joined(channels: Sequence[Channel]) -> BRDFSamples:
-    """All samples as one list, channel after channel, with the errors that they share.
-
-    A shared error of one source acts across its channels as its groups say. In several sources
-    an error of the same name, meaning and size is one and the same where it belongs to the
-    instrument: it moves directions, or is one number for all samples (the standard). One that has
-    groups and changes values, as a lamp that drifts, is each source's own; so is everything on
-    instruments of different names.
-    """
-    parts = [channel.samples for channel in channels]
-    angles = [
-        np.concatenate([np.broadcast_to(getattr(s.directions, name), (len(s),)) for s in parts])
-        for name in ("theta_i", "phi_i", "theta_r", "phi_r")
-    ]
-    one = len({channel.source for channel in channels}) == 1
-    return BRDFSamples(
-        directions=Directions(*angles),
-        value=np.concatenate([s.value for s in parts]),
-        u_independent=_column(parts, "u_independent"),
-        noise_slope=_column(parts, "noise_slope"),
-        u_reference=_column(parts, "u_reference"),
-        reference_sharing=max(s.reference_sharing for s in parts),
-        shared=_joined_terms(channels),
-        history=_history(channels, one=one),
-        metadata=_common([s.metadata for s in parts]),
-        quantity=parts[0].quantity,
-    )
-
-
-def _column(parts: Sequence[BRDFSamples], name: str) -> FloatArray | None:
-    columns = [getattr(s, name) for s in parts]
-    return None if any(c is None for c in columns) else np.concatenate(columns)
-
-
-def _common(metadata: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What all sources say alike."""
-    return {
-        key: value
-        for key, value in metadata[0].items()
-        if all(key in other and other[key] == value for other in metadata[1:])
-    }
-
-
-def _history(channels: Sequence[Channel], *, one: bool) -> tuple[str, ...]:
-    """Of one source what its channels have in common; of several every line once, with names."""
-    if one:
-        first = channels[0].samples.history
-        return first[: -1 if len(channels) > 1 and channels[0].select else None]
-    lines = [f"{c.material}: {line}" for c in channels for line in c.samples.history]
-    return tuple(dict.fromkeys(lines))
-
-
-def _joined_terms(channels: Sequence[Channel]) -> tuple[SharedTerm, ...]:
-    found: dict[tuple[Any, ...], list[SharedTerm | None]] = {}
-    for k, channel in enumerate(channels):
-        seen: dict[tuple[Any, ...], int] = {}
-        for term in channel.samples.shared:
-            key = _identity(term, channel)
-            # The same error twice in one source is two errors.
-            seen[key] = seen.get(key, 0) + 1
-            found.setdefault((*key, seen[key]), [None] * len(channels))[k] = term
-    return tuple(_one_term(terms, channels) for terms in found.values())
-
-
-def _identity(term: SharedTerm, channel: Channel) -> tuple[Any, ...]:
-    """Terms with the same identity are one error."""
-    of_instrument = term.moves_directions or term.group is None
-    owner = str(channel.samples.metadata.get("instrument")) if of_instrument else channel.source
-    return (owner, term.name, term.meaning, term.relative, term.blur, term.turn)
-
-
-def _one_term(terms: Sequence[SharedTerm | None], channels: Sequence[Channel]) -> SharedTerm:
-    """One term over all samples; it does nothing to channels that do not have it."""
-    sizes = [len(channel.samples) for channel in channels]
-    known = [term for term in terms if term is not None]
-    partial = len(known) < len(terms)
-
-    def column(name: str, shape: tuple[int, ...], unset: float) -> Any:
-        filled = [
-            np.full((n, *shape), unset if term is not None else 0.0)
-            if term is None or getattr(term, name) is None
-            else getattr(term, name)
-            for term, n in zip(terms, sizes, strict=True)
-        ]
-        return np.concatenate(filled)
-
-    def has(name: str) -> bool:
-        return any(getattr(term, name) is not None for term in known)
-
-    group = column("group", (), 0).astype(np.int64) if has("group") else None
-    return replace(
-        known[0],
-        group=group,
-        shift=column("shift", (3,), 0.0) if has("shift") else None,
-        profile=column("profile", (), 1.0) if has("profile") or partial else None,
-        offset=column("offset", (), 0.0) if has("offset") else None,
-    )
-
-
-def _joined_cells(cells: Sequence[Cells]) -> Cells:
-    ends = np.cumsum([0, *(c.offsets[-1] for c in cells)])
-    offsets = [c.offsets[1:] + end for c, end in zip(cells, ends, strict=False)]
-    return Cells(
-        np.concatenate([c.w_r for c in cells]),
-        np.concatenate([c.weight for c in cells]),
-        np.concatenate([[0], *offsets]).astype(np.int64),
-    )
-
-
-def _cells_within(cells: Cells, where: slice) -> Cells:
-    """The cells of consecutive samples."""
-    offsets = cells.offsets[where.start : where.stop + 1]
-    first, last = int(offsets[0]), int(offsets[-1])
-    return Cells(cells.w_r[first:last], cells.weight[first:last], offsets - first)
+def parameter_of_part(problem: JointProblem, part: int, name: str) -> str:
+    """Name among all parameters of one of a part's."""
+    place = int(problem.places[part][problem.model.names.index(name)])
+    return str(problem.parameters[place].name)

@@ -16,32 +16,22 @@ readings and pull the fit below all of them (Peelle's pertinent puzzle).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.errors import ConfigurationError
-from gonio.fitting.minimum.gauss_newton import Optimum, minimise
 from gonio.fitting.problem.joint import JointProblem
 from gonio.fitting.problem.problem import Problem
-from gonio.fitting.result import NuisanceEstimate
-from gonio.fitting.uncertainty.covariance import inverse_curvature, moved_problem, shared_change
+from gonio.fitting.problem.shared_change import moved_problem, shared_change
 from gonio.geometry import FloatArray
 from gonio.models import Parameter
-from gonio.samples import BRDFSamples, Cells, SharedTerm
+from gonio.samples import Cells, SharedTerm
 
-ROUNDS = 12  # of new weights, draws and parameters
-SETTLED = 1e-3  # of the uncertainties: a last round that moves less ends them
 STEP = 0.1  # of the prior's standard deviation: over which the slope of a direction is taken
-PULL = 3.0  # standard deviations of one draw that are worth a warning
-LEARNT = 0.05  # smallest part of the prior's variance that data must take away for a pull
-
-Nuisance = Literal["none", "all"] | Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -313,159 +303,6 @@ class NuisanceProblem(Problem):
 
         weighted = (self.inverse_variance * columns.T).T
         return np.asarray(cho_solve(self._factored, self._root.T @ weighted))
-
-
-def chosen(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
-    """Names of the shared terms that are to be learnt.
-
-    Parameters
-    ----------
-    samples : BRDFSamples
-    nuisance : {"none", "all"} or sequence of str
-        Names of terms, or what stands before the comma in the names of several: "geometry" for
-        "geometry, mode 1" and its like. All are those that are not `typical`: to learn the typical
-        shape of an error that has another one is to learn something wrong for certain.
-
-    Raises
-    ------
-    ConfigurationError
-        If the samples state no shared error that can be learnt, or none of a name.
-
-    Examples
-    --------
-    >>> from gonio.geometry import Directions
-    >>> one = np.zeros(1)
-    >>> terms = (SharedTerm("lamp, sample", "", 0.01), SharedTerm("standard", "", 0.02))
-    >>> chosen(BRDFSamples(Directions(one, one, one, one), one, shared=terms), ["lamp"])
-    ('lamp, sample',)
-    """
-    if isinstance(nuisance, str):
-        nuisance = {"none": [], "all": ["all"]}.get(nuisance, [nuisance])
-    known = tuple(dict.fromkeys(term.name for term in samples.shared if not term.typical))
-    typical = {term.name for term in samples.shared if term.typical}
-    if nuisance and not known:
-        raise ConfigurationError(
-            "the samples state no shared errors that a fit could learn; give a session, or samples "
-            "of 'gonio reduce'.",
-            value=nuisance,
-        )
-    if list(nuisance) == ["all"]:
-        return known
-    found: list[str] = []
-    for name in nuisance:
-        family = [term for term in known if term.partition(",")[0] == name]
-        matching = [name] if name in known else family
-        if name in typical or (not matching and name in {t.partition(",")[0] for t in typical}):
-            raise ConfigurationError(
-                f"the shared error {name!r} stands for errors of many shapes by a typical one: it "
-                f"is propagated and cannot be learnt; others can: {'; '.join(known)}.",
-                value=name,
-            )
-        if not matching:
-            raise ConfigurationError(
-                f"nuisance {name!r} is none of the shared errors of these samples; give all, none, "
-                f"or some of: {'; '.join(known)}.",
-                value=name,
-            )
-        found += matching
-    return tuple(name for name in known if name in found)
-
-
-def parsed(text: str) -> Nuisance:
-    """What stands after `--nuisance`: all, none, or names between commas.
-
-    A comma with a space after it belongs to a name.
-
-    Examples
-    --------
-    >>> parsed("standard,lamp, sample,azimuth")
-    ['standard', 'lamp, sample', 'azimuth']
-    """
-    if text in ("none", "all"):
-        return text
-    return [name.strip() for name in re.split(r",(?! )", text) if name.strip()]
-
-
-def learnt_fit(
-    problem: Problem, optimum: Optimum, names: Sequence[str]
-) -> tuple[NuisanceProblem, Optimum, list[str]]:
-    """The minimum with shared errors learnt, from that without; and what to know about it.
-
-    Weights, U and z0 follow parameters and draws, which follow them, until both stand still.
-    """
-    learning = NuisanceProblem.of(problem, names)
-    evaluations = optimum.evaluations
-    for _ in range(ROUNDS):
-        before = optimum.p
-        learning = learning.reweighted(before)
-        optimum = minimise(learning, before, near=True)
-        evaluations += optimum.evaluations
-        step = optimum.p - before
-        still = float(step @ optimum.curvature @ step) <= (SETTLED * learning.noise) ** 2
-        if still and np.all(np.abs(learning.draws(optimum.p) - learning.z0) <= SETTLED):
-            return learning, replace(optimum, evaluations=evaluations), []
-    told = (
-        f"the shared errors that were learnt have not settled in {ROUNDS} rounds: they are too "
-        "large for this model, or it is the wrong one."
-    )
-    return learning, replace(optimum, evaluations=evaluations), [told]
-
-
-def estimates(problem: NuisanceProblem, optimum: Optimum) -> tuple[NuisanceEstimate, ...]:
-    """Every learnt draw with its standard uncertainty, in units of its prior's.
-
-    The covariance of all draws is that of parameters and draws together: (I + U^T W U/s^2 -
-    B (J^T W J)^-1 B^T)^-1 with B = U^T W J, over the parameters that the data determine.
-    """
-    weight = problem.inverse_variance / problem.noise**2
-    _, jac = problem.jacobian(optimum.p)
-    known, _ = inverse_curvature(optimum)
-    inner = np.eye(len(problem.z0)) + problem.basis.T @ (weight[:, None] * problem.basis.toarray())
-    if known.any():
-        jac = jac[:, known]
-        scale = np.sqrt(np.sum(weight[:, None] * jac**2, axis=0))
-        jac = jac / scale
-        cross = np.asarray(problem.basis.T @ (weight[:, None] * jac))
-        inner -= cross @ np.linalg.pinv(jac.T @ (weight[:, None] * jac), hermitian=True) @ cross.T
-    sd = np.sqrt(np.diag(np.linalg.inv((inner + inner.T) / 2)).clip(0, 1))
-    z = problem.draws(optimum.p)
-    found = []
-    for term, draw in zip(problem.terms, problem.draw, strict=True):
-        labels = [None] if term.group is None else np.unique(term.group).tolist()
-        first = int(draw.min())
-        found += [
-            NuisanceEstimate(term.name, label, float(z[first + k]), float(sd[first + k]))
-            for k, label in enumerate(labels)
-        ]
-    return tuple(found)
-
-
-def pull_warnings(found: Sequence[NuisanceEstimate]) -> list[str]:
-    """A sentence for every term with a draw too far from 0 for its prior.
-
-    The pull of a draw is its estimate over sqrt(1 - sd^2), the spread that an honest prior gives
-    the estimate. Of many draws the largest is allowed to be larger.
-    """
-    from scipy.stats import norm
-
-    pulls = {
-        k: e.estimate / np.sqrt(1 - e.stderr**2)
-        for k, e in enumerate(found)
-        if 1 - e.stderr**2 >= LEARNT
-    }
-    limit = float(norm.isf(norm.sf(PULL) / max(len(pulls), 1)))
-    worst: dict[str, int] = {}
-    for k, pull in pulls.items():
-        name = found[k].name
-        if abs(pull) > limit and abs(pull) > abs(pulls.get(worst.get(name, -1), 0.0)):
-            worst[name] = k
-    return [
-        f"the data pull the shared error {name!r}"
-        + ("" if found[k].group is None else f" (draw {found[k].group})")
-        + f" to {found[k].estimate:+.1f} of its standard uncertainties: the budget is too small "
-        "for it, or the model is wrong and it takes up what the model lacks."
-        for name, k in worst.items()
-    ]
 
 
 def _draws(terms: Sequence[SharedTerm], n: int) -> tuple[NDArray[np.int64], int]:

@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from gonio.fitting.minimum.find import CHI2_95
-from gonio.fitting.minimum.gauss_newton import Optimum
+from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import CHI2_95
 from gonio.fitting.problem.problem import Problem
 from gonio.fitting.result import Estimate
 from gonio.fitting.uncertainty import covariance as uncertainty
-from gonio.fitting.uncertainty.profile import excluded
-from gonio.fitting.uncertainty.profile import limit as bound_limit
+from gonio.fitting.uncertainty.profile_limits import excluded
+from gonio.fitting.uncertainty.profile_limits import limit as bound_limit
 from gonio.geometry import FloatArray
 from gonio.models import Parameter
 

@@ -12,7 +12,7 @@ from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from gonio.fitting.comparison.compare import Comparison, Entry, Score
+    from gonio.fitting.comparison.records import Comparison, Entry, Score
 
 LARGE = 1e5  # from which a number is written with an exponent
 

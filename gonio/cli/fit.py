@@ -120,7 +120,7 @@ def command(
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.fitting.fit import fit
-    from gonio.fitting.problem.nuisance import parsed
+    from gonio.fitting.problem.nuisance_names import parse_names
     from gonio.models import get
 
     model = get(model_name)
@@ -152,7 +152,7 @@ def command(
             start=start,
             engine=engine,
             loss=loss,
-            nuisance=parsed(nuisance),
+            nuisance=parse_names(nuisance),
             posterior=posterior,
             draws=draws,
             sampler=sampler,
@@ -213,7 +213,7 @@ def _truths(
     model: Model,
 ) -> list[dict[str, float] | None]:
     """True parameters of every part, in file units, where the inputs are simulated sessions."""
-    from gonio.fitting.problem.joint import split
+    from gonio.fitting.problem.channels import split
 
     found: list[dict[str, float] | None] = []
     raw = {name: _truth(truth or path, model, asked=truth is not None)

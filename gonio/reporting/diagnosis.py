@@ -9,11 +9,11 @@ import numpy as np
 
 import gonio.models as models
 from gonio.errors import GonioError
-from gonio.fitting.diagnostics.identifiability import profile
-from gonio.fitting.minimum.gauss_newton import minimise
+from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.result import FitResult
-from gonio.fitting.uncertainty.information import thinned
+from gonio.fitting.uncertainty.profile_likelihood import profile
 from gonio.plotting.style import BLUE, VERMILLION
 from gonio.reporting.chart import Chart, Trace, View, axis, short
 from gonio.reporting.inputs import Inputs

@@ -11,7 +11,7 @@ from typing import Any
 import gonio.formats as formats
 from gonio.errors import ConfigurationError, DataError, GonioError
 from gonio.files import sha256_of
-from gonio.fitting.diagnostics.diagnose import usable
+from gonio.fitting.problem.copies import usable
 from gonio.fitting.result import FitResult
 from gonio.plotting.summary import read_draws
 from gonio.samples import BRDFSamples

@@ -1,13 +1,15 @@
-"""How far a parameter may go where a bound is near: profiles, with shared errors added."""
+"""Limits from profile likelihood where a bound is near, with shared errors added."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gonio.fitting.minimum.gauss_newton import Optimum, minimise, pinned_at
+from gonio.fitting.minimum.minimise import minimise, pinned_at
+from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.problem.problem import Problem
-from gonio.fitting.uncertainty.covariance import around, evaluate, profile_limit
-from gonio.fitting.uncertainty.information import thinned
+from gonio.fitting.problem.shared_columns import thinned
+from gonio.fitting.uncertainty.covariance import evaluate
+from gonio.fitting.uncertainty.profile_likelihood import around, profile_limit
 from gonio.geometry import FloatArray
 
 MOST = 5_000  # samples that tell the part of the shared errors

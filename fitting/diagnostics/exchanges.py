@@ -1,0 +1,133 @@
+"""Exchanges of parameters that the data do not see, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.fitting.diagnostics.next_measurement import facts
+from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.problem.problem import Problem
+from gonio.geometry import FloatArray
+from gonio.kernels.boxed import UNDETERMINED
+
+TAKES_PART = 0.1  # component of a unit vector above which a parameter is part of an exchange
+
+
+def step_along(
+    problem: Problem, optimum: Optimum, seen: NDArray[np.int64], step: FloatArray
+) -> dict[str, float]:
+    """A step along an axis, its largest relative change 10 %, in file units."""
+    size = np.maximum(np.abs(optimum.p[seen]), 1e-12)
+    part = np.abs(step) / size
+    factor = 0.1 / max(float(part.max()), 1e-300)
+    factor *= np.sign(step[int(np.argmax(part))]) or 1.0
+    return {
+        problem.parameters[k].name: problem.parameters[k].to_file(float(s * factor))
+        for k, s in zip(seen.tolist(), step, strict=True)
+    }
+
+
+def causes_of(
+    problem: Problem,
+    optimum: Optimum,
+    seen: NDArray[np.int64],
+    values: FloatArray,
+    vectors: FloatArray,
+    scale: FloatArray,
+    missing: set[int],
+    hard: set[int],
+) -> list[str]:
+    """One sentence for each exchange that the data do not see, and each missing effect."""
+    names = [q.name for q in problem.parameters]
+    why = facts(problem)
+    because = f" ({'; '.join(why)})" if why else ""
+    told = []
+    for k in sorted(missing - set(seen.tolist())):
+        told.append(_without_effect(problem, optimum, k))
+    for k in np.flatnonzero(~optimum.free & (np.diag(optimum.curvature) <= 0)).tolist():
+        told.append(_flat_at_bound(problem, optimum, k))
+    for value, vector in zip(values, vectors.T, strict=True):
+        parts = seen[np.abs(vector) > TAKES_PART]
+        if value < UNDETERMINED:
+            told.append(_exchange(problem, optimum, parts, seen, vector / scale) + because + ".")
+    if hard:
+        words = _listed([names[k] for k in sorted(hard)])
+        weakest = next(
+            v for value, v in zip(values, vectors.T, strict=True) if value >= UNDETERMINED
+        )
+        others = [names[m] for m in seen[np.abs(weakest) > TAKES_PART] if m not in hard]
+        by = f"{_listed(others)} can take the place" if others else "one can take another's place"
+        told.append(f"{words} {'are' if len(hard) > 1 else 'is'} hardly determined: {by}{because}.")
+    return told
+
+
+def _exchange(
+    problem: Problem,
+    optimum: Optimum,
+    parts: NDArray[np.int64],
+    seen: NDArray[np.int64],
+    step: FloatArray,
+) -> str:
+    """What is exchanged for what, without the full stop."""
+    names = [problem.parameters[k].name for k in parts]
+    if len(parts) == 2 and all(problem.parameters[k].linear for k in parts):
+        return f"{_listed(names)} scale the same shape in these data: only their sum is determined"
+    change = step_along(problem, optimum, seen, step)
+    shown = []
+    for k in parts.tolist():
+        q = problem.parameters[k]
+        value = q.to_file(float(optimum.p[k]))
+        if value:
+            shown.append(f"{100 * change[q.name] / value:+.0f} % in {q.name}")
+        else:
+            shown.append(f"{change[q.name]:+.2g} in {q.name}")
+    return f"{_listed(names)} are exchanged: {_listed(shown)} leave every sample as it is"
+
+
+def _without_effect(problem: Problem, optimum: Optimum, k: int) -> str:
+    """Why a free parameter has no derivative."""
+    names = [q.name for q in problem.parameters]
+    holders = depends_on(problem, optimum, k)
+    if holders:
+        q = problem.parameters[holders[0]]
+        at = q.to_file(float(optimum.p[holders[0]]))
+        return (
+            f"{names[k]} has no effect while {q.name} is at its bound {at:.4g}: no direction "
+            f"tells of it until the data show {q.name} to lie inside."
+        )
+    why = facts(problem)
+    because = f" ({'; '.join(why)})" if why else ""
+    return f"{names[k]} has no effect on any of these samples{because}."
+
+
+def depends_on(problem: Problem, optimum: Optimum, k: int) -> list[int]:
+    """Parameters at a bound that take away the effect of parameter k."""
+    found = []
+    for m in np.flatnonzero(~optimum.free).tolist():
+        q = problem.parameters[m]
+        inside = optimum.p.copy()
+        inside[m] += 0.05 * (q.upper - q.lower) * (1 if inside[m] <= q.lower else -1)
+        if np.any(problem.jacobian(inside)[1][:, k] != 0):
+            found.append(m)
+    return found
+
+
+def _flat_at_bound(problem: Problem, optimum: Optimum, k: int) -> str:
+    q = problem.parameters[k]
+    at = q.to_file(float(optimum.p[k]))
+    return (
+        f"{q.name} acts only in second order near its bound {at:.4g}, so that there is no "
+        "curvature there; its limit comes from the profile of chi-squared."
+    )
+
+
+def _listed(words: list[str]) -> str:
+    """Words with commas and an "and".
+
+    Examples
+    --------
+    >>> _listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + "".join(words[-1:])

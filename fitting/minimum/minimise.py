@@ -1,0 +1,139 @@
+"""From starts to minima: one start followed, several compared, a parameter held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gonio.fitting.minimum import starting_values
+from gonio.fitting.minimum.gauss_newton import (
+    _marquardt,
+    _polish,
+    _State,
+)
+from gonio.fitting.minimum.optimum import Optimum, better
+from gonio.fitting.minimum.variable_projection import amplitudes_solved
+from gonio.fitting.problem.problem import Problem
+from gonio.geometry import FloatArray
+
+STARTS = 2  # starting values that are followed to their minimum,
+MANY_STARTS = 8  # and where more than two parameters are nonlinear: chi2 then has more than one
+FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples
+FIRST = 4000  # samples on which a start is followed before all are used
+SAME_PLACE = 0.1  # of the uncertainty: two ends that are nearer are one minimum
+# A way from a start to the neighbourhood of a minimum: the point and the passes over the data.
+Engine = Callable[[Problem, FloatArray], tuple[FloatArray, int]]
+
+
+def starts(problem: Problem, n: int | None = None) -> list[FloatArray]:
+    """The best n starting values, searched for in the data (`starting_values.candidates`)."""
+    if n is None:
+        nonlinear = sum(not q.linear and q.lower < q.upper for q in problem.parameters)
+        n = STARTS if nonlinear <= 2 else MANY_STARTS
+    return starting_values.candidates(problem, n)
+
+
+def minimise(
+    problem: Problem,
+    start: FloatArray,
+    *,
+    search: bool = True,
+    near: bool = False,
+    engine: Engine | None = None,
+) -> Optimum:
+    """Follow one start to its minimum: an engine, then Gauss-Newton steps inside the bounds.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : ndarray
+        Any point inside the bounds; the linear parameters are solved for there.
+    search : bool
+        Where the minimum lies on a bound, lacks curvature, or is not verified, follow the best
+        starting value of the data as well and keep the deeper minimum: chi-squared may be
+        stationary on a bound without a minimum there (f depends on sigma^2 only).
+    near : bool
+        The start is nearer to the minimum than that of a part of the samples is.
+    engine : callable, optional
+        What goes before the Gauss-Newton steps; nothing by default.
+    """
+    optimum = _followed(problem, start, engine, near=near or not search)
+    lobe_lost = np.any(np.diag(optimum.curvature) <= 0)
+    if search and not (optimum.verified and optimum.free.all() and not lobe_lost):
+        other = _followed(problem, starts(problem, 1)[0], engine)
+        optimum = better(optimum, other)
+    return optimum
+
+
+def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
+    """The minima to which the best starting values of the data lead, deepest first.
+
+    Of many samples a start is followed on some first, and on all only where it leads to another
+    place than a better one.
+    """
+    first = problem.subset(FIRST) if problem.n > 2 * FIRST else problem
+    ends: list[_State] = []
+    evaluations = 0
+    for start in starts(problem):
+        point = start
+        if engine is not None:
+            point, n = engine(problem, start)
+            evaluations += n
+        ends.append(_marquardt(first if engine is None else problem, point))
+    ends.sort(key=lambda end: end.chi2)
+    found: list[Optimum] = []
+    kept: list[_State] = []
+    for end in ends:
+        evaluations += end.evaluations
+        if any(_same_place(first, other, end) for other in kept):
+            continue
+        if first is not problem and kept and end.chi2 > FAR * kept[0].chi2:
+            continue
+        kept.append(end)
+        found.append(_polish(problem, end.p if end.problem is not problem else end, evaluations))
+        evaluations = 0
+    best = found[0]
+    for other in found[1:]:
+        best = better(best, other)
+    return [best, *(other for other in found if other is not best)]
+
+
+def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
+    """The minimum with parameter j on its lower bound; verified as one of the other parameters."""
+    q = problem.parameters[j]
+    pinned = minimise(pinned_at(problem, j, q.lower), optimum.p, search=False)
+    p = np.where(np.arange(len(optimum.p)) == j, q.lower, pinned.p)
+    chi2, g, h = problem.normal_equations(p)
+    free = pinned.free & (np.arange(len(p)) != j)
+    return Optimum(p, chi2, g, h, free, pinned.evaluations, pinned.verified, pinned.limited)
+
+
+def pinned_at(problem: Problem, j: int, value: float) -> Problem:
+    """The problem with parameter j held at a value."""
+    parameters = list(problem.parameters)
+    parameters[j] = replace(parameters[j], lower=value, upper=value, scale="linear", linear=False)
+    return problem.with_parameters(tuple(parameters))
+
+
+def _followed(
+    problem: Problem, start: FloatArray, engine: Engine | None, *, near: bool = False
+) -> Optimum:
+    p = amplitudes_solved(problem, start)
+    evaluations = 1
+    if engine is not None:
+        p, n = engine(problem, p)
+        evaluations += n
+    elif problem.n > 2 * FIRST and not near:
+        end = _marquardt(problem.subset(FIRST), p)
+        p, evaluations = end.p, end.evaluations
+    return _polish(problem, p, evaluations)
+
+
+def _same_place(problem: Problem, first: _State, second: _State) -> bool:
+    step = starting_values.ordered(problem, second.p) - starting_values.ordered(problem, first.p)
+    apart = float(step @ first.h @ step)
+    lost = np.diag(first.h) <= 0
+    moved = np.any(step[lost] != 0)
+    return not moved and apart <= (SAME_PLACE * first.noise) ** 2

@@ -1,0 +1,80 @@
+"""The posterior about a minimum, and the deeper minimum that its draws may lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gonio.errors import DataError
+from gonio.fitting.minimum.derivative_check import gradient_faults
+from gonio.fitting.minimum.find import settled
+from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.record import Minimum, goodness
+from gonio.fitting.minimum.rivals import place
+from gonio.fitting.posterior import sample as posteriors
+from gonio.fitting.posterior.chain import Chain, Progress, Sampler
+from gonio.fitting.posterior.priors import Prior, resolve
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty.at_minimum import uncertainties
+
+RESTARTS = 2  # times that a posterior may lead to a deeper minimum
+NO_DEEPER = 1e-3  # of the noise squared: as deep, but for rounding
+
+
+def sampled(
+    found: Minimum,
+    priors: Mapping[str, str | Prior] | None,
+    *,
+    seed: int,
+    sampler: Sampler,
+    progress: Progress | None,
+) -> tuple[Minimum, Chain]:
+    """The posterior, and the minimum where its draws led to a deeper one.
+
+    Raises
+    ------
+    DataError
+        Where there is no noise.
+    """
+    if found.noise_scale == 0:
+        raise DataError(
+            "the model leaves no residuals and the samples state no uncertainty: there is no "
+            "noise to sample a posterior with; give u_brdf or fit without a posterior."
+        )
+    believed = resolve(found.problem.parameters, priors)
+    for _ in range(RESTARTS + 1):
+        errors, _ = uncertainties(found.problem, found.optimum, found.noise_scale)
+        chain = posteriors.sample(
+            found.problem, found.optimum, errors, seed=seed, sampler=sampler, priors=believed,
+            progress=progress,
+        )  # fmt: skip
+        deeper = _deeper_by_draws(found, chain)
+        if deeper is None:
+            break
+        found = deeper
+        if not deeper.optimum.verified:
+            break
+    return found, chain
+
+
+def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
+    """The minimum below the best draw where it is deeper; unverified where it cannot be taken."""
+    best = chain.draws.reshape(-1, chain.draws.shape[-1])[int(np.argmax(chain.log_density))]
+    problem, optimum = found.problem, found.optimum
+    other = minimise(problem, best, search=False)
+    if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * found.noise_scale**2:
+        return None
+    if type(problem) is not Problem:
+        told = "the posterior holds a deeper minimum, which the search did not find."
+        return replace(
+            found, optimum=replace(optimum, verified=False), doubts=[*found.doubts, told]
+        )
+    problem, other = settled(problem, other)
+    told = (
+        f"the search found a minimum at {place(problem, optimum)}; the posterior led to a deeper "
+        "one, which was taken."
+    )
+    faults = gradient_faults(problem, other.p)
+    return Minimum(problem, other, [told], faults, *goodness(problem, other))

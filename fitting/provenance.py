@@ -1,0 +1,36 @@
+"""What a result says of its origin: versions of the programs, and a hash of the data."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from gonio._version import __version__
+from gonio.samples import BRDFSamples
+
+
+def provenance(samples: BRDFSamples) -> dict[str, Any]:
+    """What a result says of its origin: versions of the programs, and the data."""
+    return {
+        "versions": _versions(),
+        "source": {"data_sha256": _data_hash(samples), **samples.metadata},
+    }
+
+
+def _versions() -> dict[str, str]:
+    packages = ("numpy", "scipy", "numba", "nlopt", "emcee")
+    found = {name: metadata.version(name) for name in packages}
+    return {"gonio": __version__, "python": platform.python_version(), **found}
+
+
+def _data_hash(samples: BRDFSamples) -> str:
+    digest = hashlib.sha256()
+    d = samples.directions
+    for array in (d.theta_i, d.phi_i, d.theta_r, d.phi_r, samples.value, samples.u_independent):
+        if array is not None:
+            digest.update(np.ascontiguousarray(np.broadcast_to(array, (len(samples),))).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""Tests for what is left in the residuals of a fit."""

@@ -1,0 +1,110 @@
+"""Whitened residuals, with what parameters and shared errors could do projected out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.residual_tests.groups import (
+    LEAST,
+)
+from gonio.geometry import FloatArray
+
+ROUNDING = 1e-10  # of the largest value: smaller residuals are no residuals
+
+
+@dataclass(frozen=True)
+class Base:
+    """A problem at its minimum: values, derivatives by what is free, shared errors."""
+
+    problem: Problem
+    f: FloatArray
+    jacobian: FloatArray
+    shared: Any  # sparse (N, draws)
+
+    @property
+    def residual(self) -> FloatArray:
+        return np.asarray(self.problem.samples.value - self.f)
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Whitened residuals with what parameters and shared errors could do projected out."""
+
+    z: FloatArray  # (N,)
+    columns: Any  # whitened, sparse (N, C)
+    inverse: FloatArray  # pseudo-inverse of columns^T columns
+    dof: int
+    root: FloatArray  # square root of the weights (N,)
+    f: FloatArray
+    residual: FloatArray
+    stated: float  # mean square of z that the shared errors may make
+
+    @classmethod
+    def of(cls, base: Base) -> Whitened | None:
+        """None where too few samples are left to say anything."""
+        from scipy.sparse import csr_array, diags_array, hstack
+
+        problem = base.problem
+        # In units of the largest value: squares of what is left neither overflow nor vanish.
+        unit = float(np.max(np.abs(problem.samples.value))) or 1.0
+        f, residual = base.f / unit, base.residual / unit
+        if not np.max(np.abs(residual)) > ROUNDING:
+            return None
+        root = np.sqrt(problem.inverse_variance) * unit
+        if problem.weights != "sd":
+            root = scatter_weights(f, residual)
+        parts = hstack([csr_array(base.jacobian), base.shared]) / unit
+        columns = csr_array(diags_array(root) @ csr_array(parts))
+        own = columns[:, base.jacobian.shape[1] :]
+        stated = float(own.multiply(own).sum()) / problem.n
+        size = np.sqrt(np.maximum(np.asarray(columns.multiply(columns).sum(axis=0)), 1e-300))
+        columns = csr_array(columns @ diags_array(1 / size.ravel()))
+        square = np.asarray((columns.T @ columns).toarray())
+        inverse, rank = pseudo_inverse(square)
+        z = root * residual
+        z = z - columns @ (inverse @ (columns.T @ z))
+        dof = problem.n - rank
+        if dof < 3 * LEAST or not np.max(np.abs(z)) > ROUNDING * np.max(root):
+            return None
+        return cls(z, columns, inverse, dof, root, f, residual, stated)
+
+    @property
+    def mean(self) -> float:
+        """Mean fitted value."""
+        return float(np.mean(self.f))
+
+    @property
+    def variance(self) -> float:
+        """Mean square of the residuals in the unit of f."""
+        return float(np.mean(self.residual**2))
+
+
+def scatter_weights(f: FloatArray, residual: FloatArray) -> FloatArray:
+    """One over the noise where nobody stated it: sd^2 = a + b f^2 from the scatter itself.
+
+    Neighbours in f share their noise; a and b are the best non-negative ones for the mean squares
+    of groups.
+    """
+    from scipy.optimize import nnls
+
+    order = np.array_split(np.argsort(f), int(np.clip(len(f) // 20, 1, 40)))
+    squares = np.array([np.mean(residual[k] ** 2) for k in order])
+    levels = np.array([np.mean(f[k] ** 2) for k in order])
+    if not np.all(squares > 0):
+        return np.full(len(f), 1 / max(float(np.sqrt(np.mean(residual**2))), 1e-300))
+    design = np.column_stack([np.ones(len(order)), levels]) / squares[:, None]
+    (a, b), _ = nnls(design, np.ones(len(order)))
+    variance = a + b * f**2
+    return np.asarray(1 / np.sqrt(np.maximum(variance, 1e-3 * np.mean(variance) + 1e-300)))
+
+
+def pseudo_inverse(square: FloatArray) -> tuple[FloatArray, int]:
+    if len(square) == 0:
+        return square, 0
+    values, vectors = np.linalg.eigh(square)
+    good = values > 1e-10 * max(float(values[-1]), 1e-300)
+    return (vectors[:, good] / values[good]) @ vectors[:, good].T, int(np.count_nonzero(good))

@@ -1,0 +1,60 @@
+"""The covariance at a minimum of any kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gonio.fitting.minimum.minimise import at_lower
+from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import CHI2_95
+from gonio.fitting.problem.joint import JointProblem
+from gonio.fitting.problem.nuisance import NuisanceProblem
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.uncertainty.correlated_parts import with_correlated_parts
+from gonio.fitting.uncertainty.profile_likelihood import around
+
+
+def uncertainties(
+    problem: Problem, optimum: Optimum, noise_scale: float
+) -> tuple[uncertainty.Uncertainty, list[str]]:
+    """Covariance at a minimum, without parameters of a lobe that may as well not be there.
+
+    The list tells of each such lobe.
+    """
+    if isinstance(problem, NuisanceProblem):
+        errors = uncertainty.evaluate(
+            problem, optimum, noise_scale, changes=problem.changes(optimum.p), learnt=problem.learnt
+        )
+    else:
+        errors = uncertainty.evaluate(problem, optimum, noise_scale)
+        if isinstance(problem, JointProblem):
+            errors = with_correlated_parts(problem, optimum, errors)
+    return _without_undetected(problem, optimum, errors)
+
+
+def _without_undetected(
+    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty
+) -> tuple[uncertainty.Uncertainty, list[str]]:
+    """Parameters of a lobe whose amplitude may be zero have no uncertainty."""
+    determined = errors.determined.copy()
+    warnings = []
+    for j, q in enumerate(problem.parameters):
+        sd = np.sqrt(errors.covariance[j, j])
+        if not (q.linear and errors.determined[j] and optimum.p[j] - q.lower < 4 * sd):
+            continue
+        small, at, place = around(problem, optimum, j)
+        null = at_lower(small, at, int(np.flatnonzero(place == j)[0]))
+        lost = np.zeros_like(determined)
+        lost[place] = (np.diag(null.curvature) <= 0) & determined[place]
+        gain = max(null.chi2 - at.chi2, 0.0) / max(errors.noise_scale, 1e-300) ** 2
+        if gain < CHI2_95 and lost.any():
+            names = [r.name for k, r in enumerate(problem.parameters) if lost[k]]
+            determined[lost] = False
+            warnings.append(
+                f"{q.name} may as well be {q.to_file(q.lower):.4g} (chi2 grows by {gain:.2g}): "
+                f"{' and '.join(names)} would then mean nothing."
+            )
+    return replace(errors, determined=determined), warnings

@@ -1,0 +1,76 @@
+"""The covariance where the residuals of a joint fit's parts are correlated."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+
+from gonio.fitting.minimum.curvature import inverse_curvature
+from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.problem.joint import JointProblem
+from gonio.fitting.problem.problem import Problem
+from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.geometry import FloatArray
+
+CORRELATED = 0.1  # mean correlation of the parts' residuals that is no chance
+SAME = 1e-3  # directions, as unit vectors, that are the same
+
+
+def with_correlated_parts(
+    problem: JointProblem, optimum: Optimum, errors: uncertainty.Uncertainty
+) -> uncertainty.Uncertainty:
+    """The covariance with residuals that are alike in all parts counted once.
+
+    Where a model does not fit, its parts leave the same residuals at the same directions: they are
+    no independent evidence of what the parts share. With r_kl their correlation between parts,
+    samples of parts k and l at one place have the covariance r_kl / sqrt(w_k w_l), and
+    H^-1 (sum_kl r_kl J_k^T sqrt(W_k W_l) J_l) H^-1 takes the place of H^-1.
+    """
+    r = residual_correlation(problem, optimum.p)
+    if r is None:
+        return errors
+    columns = []
+    for part, _, place in problem.pieces():
+        columns.append(np.sqrt(part.inverse_variance)[:, None] * part.jacobian(optimum.p[place])[1])
+    n_p = len(optimum.p)
+    scatter = np.zeros((n_p, n_p))
+    for (k, a), (m, b) in itertools.product(enumerate(problem.places), repeat=2):
+        scatter[np.ix_(a, b)] += r[k, m] * columns[k].T @ columns[m]
+    _, inverse = inverse_curvature(optimum)
+    return replace(errors, independent=errors.noise_scale**2 * inverse @ scatter @ inverse)
+
+
+def residual_correlation(problem: JointProblem, p: FloatArray) -> FloatArray | None:
+    """Correlation of the residuals between the parts, or None where they are not alike.
+
+    Only parts that were measured at the same directions can be compared.
+    """
+    if not _same_directions(problem):
+        return None
+    z = []
+    for part, _, place in problem.pieces():
+        residual = (part.samples.value - part.values(p[place])) * np.sqrt(part.inverse_variance)
+        z.append(residual / max(float(np.linalg.norm(residual)), 1e-300))
+    r = np.array(z) @ np.array(z).T
+    np.fill_diagonal(r, 1.0)
+    return r if mean_correlation(r) > CORRELATED else None
+
+
+def mean_correlation(r: FloatArray) -> float:
+    return float((r.sum() - len(r)) / (len(r) * (len(r) - 1)))
+
+
+def _same_directions(problem: JointProblem) -> bool:
+    first = problem.parts[0]
+    return all(
+        part.n == first.n
+        and np.allclose(part.w_i, first.w_i, atol=SAME)
+        and np.allclose(_centroids(part), _centroids(first), atol=SAME)
+        for part in problem.parts[1:]
+    )
+
+
+def _centroids(part: Problem) -> FloatArray:
+    return part.samples.directions.vectors()[1]

@@ -1,0 +1,125 @@
+"""Likelihood-ratio test of the parameters that the parts of a joint fit share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.optimum import Optimum, better
+from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.problem.channels import Channel
+from gonio.fitting.problem.joint import JointProblem, base_name
+from gonio.fitting.result import Sharing
+from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.geometry import FloatArray
+from gonio.kernels.boxed import UNDETERMINED
+from gonio.models import Model
+
+REFUSED = 0.01  # chance below which the data refuse the sharing
+
+
+def sharing_test(
+    problem: JointProblem,
+    optimum: Optimum,
+    alone: Sequence[Minimum],
+    channels: Sequence[Channel],
+) -> tuple[Sharing, list[dict[str, tuple[float, float | None]]]]:
+    """Likelihood ratio of the joint fit to separate ones; the shared parameters part by part.
+
+    Both with the weights of the joint fit, so that the growth of chi-squared is never negative.
+    """
+    apart, growth = [], 0.0
+    for minimum, (part, _, place) in zip(alone, problem.pieces(), strict=True):
+        own = minimise(part, minimum.optimum.p, search=False)
+        other = minimise(part, optimum.p[place], search=False)
+        apart.append(better(own, other))
+        growth += max(part.chi2(optimum.p[place]) - apart[-1].chi2, 0.0)
+    separate = JointProblem.from_parts(channels, problem.parts, ())
+    errors = uncertainty.evaluate(separate, _stacked(apart), 1.0)
+    names = tuple(q.name for q in problem.parameters if q.name == base_name(q.name))
+    dof = sum(_rank(own) for own in apart) - _rank(optimum)
+    p_value = None
+    if dof > 0:
+        allowed = growth * _allowance(problem.model, names, separate, apart, errors)
+        left = problem.n - sum(int(np.count_nonzero(own.free)) for own in apart)
+        p_value = _chance(problem, allowed, dof, left)
+    told = []
+    for own, place in zip(apart, separate.places, strict=True):
+        pairs: dict[str, tuple[float, float | None]] = {}
+        for j, q in enumerate(problem.model.parameters):
+            if q.name in names:
+                sd = float(np.sqrt(errors.covariance[place[j], place[j]]))
+                known = errors.determined[place[j]] and sd < q.upper - q.lower
+                pairs[q.name] = (q.to_file(float(own.p[j])), q.to_file(sd) if known else None)
+        told.append(pairs)
+    refused = p_value is not None and p_value < REFUSED
+    return Sharing(names, growth, max(dof, 0), p_value, refused), told
+
+
+def _chance(problem: JointProblem, growth: float, dof: int, left: int) -> float:
+    """Chance of a larger growth; where the scatter stands for the noise, by its F distribution."""
+    if problem.weights == "sd" and max(problem.scales) == 1.0:
+        return float(stats.chi2.sf(growth, dof))
+    return float(stats.f.sf(growth / dof, dof, left))
+
+
+def _allowance(
+    model: Model,
+    names: Sequence[str],
+    separate: JointProblem,
+    apart: Sequence[Optimum],
+    errors: uncertainty.Uncertainty,
+) -> float:
+    """Share of the disagreement that is left with the errors that not all parts have in common.
+
+    The parameters that separate fits find scatter about a common value by their independent
+    errors, and by shared errors that act otherwise in one part than in another.
+    """
+    if not errors.shared:
+        return 1.0
+    index, value, column = [], [], []
+    for own, place in zip(apart, separate.places, strict=True):
+        for j, q in enumerate(model.parameters):
+            if q.name in names and errors.determined[place[j]]:
+                index.append(place[j])
+                value.append(own.p[j])
+                column.append(names.index(q.name))
+    design = np.eye(len(names))[column]
+    at = np.ix_(index, index)
+    known = errors.independent[at], errors.covariance[at]
+    plain, full = (_disagreement(np.array(value), design, c) for c in known)
+    return float(np.clip(full / plain, 0.0, 1.0)) if plain > 0 else 1.0
+
+
+def _disagreement(value: FloatArray, design: FloatArray, covariance: FloatArray) -> float:
+    """Weighted sum of squares about the best common values."""
+    unit = np.sqrt(np.diag(covariance))
+    root = np.linalg.cholesky(covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(unit)))
+    y, x = np.linalg.solve(root, value / unit), np.linalg.solve(root, design / unit[:, None])
+    return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
+
+
+def _stacked(apart: Sequence[Optimum]) -> Optimum:
+    """Separate minima as the minimum of a joint problem that shares nothing."""
+    from scipy.linalg import block_diag
+
+    return Optimum(
+        np.concatenate([own.p for own in apart]),
+        sum(own.chi2 for own in apart),
+        np.concatenate([own.gradient for own in apart]),
+        block_diag(*(own.curvature for own in apart)),
+        np.concatenate([own.free for own in apart]),
+        sum(own.evaluations for own in apart),
+        all(own.verified for own in apart),
+    )
+
+
+def _rank(optimum: Optimum) -> int:
+    """How many free parameters the data determine."""
+    index = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
+    scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
+    scaled = optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
+    return int(np.count_nonzero(np.linalg.eigvalsh(scaled) > UNDETERMINED))

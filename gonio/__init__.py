@@ -10,15 +10,17 @@ from gonio._version import __version__
 if TYPE_CHECKING:
     from gonio.calibration.reduction.reduce import reduce
     from gonio.fitting.fit import fit
+    from gonio.planning.plan_search import design
     from gonio.simulation import simulate
 
-__all__ = ["__version__", "fit", "reduce", "simulate"]
+__all__ = ["__version__", "design", "fit", "reduce", "simulate"]
 
 # The verbs load their machinery at first use, so that `import gonio` stays light.
 _VERBS = {
     "simulate": "gonio.simulation",
     "reduce": "gonio.calibration.reduction.reduce",
     "fit": "gonio.fitting.fit",
+    "design": "gonio.planning.plan_search",
 }
 
 

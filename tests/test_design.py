@@ -13,12 +13,14 @@ from virtual import small
 
 import gonio
 from gonio import cli, models
-from gonio.cli.design import _verified, plan_for
-from gonio.cli.pilot import AVERAGED, coarse
-from gonio.fitting.design import Candidates, Design, choose, merit_of_all, merit_of_targets
 from gonio.geometry import Directions
 from gonio.instrument import preset
 from gonio.metadata import Plan
+from gonio.planning.criteria import c_optimality, d_optimality
+from gonio.planning.error_terms import AVERAGED
+from gonio.planning.exchange import choose
+from gonio.planning.information import Candidates, Design
+from gonio.planning.virtual_session import coarse
 from gonio.samples import BRDFSamples, SharedTerm
 
 WARD = {"rho_d": 0.2, "rho_s": 0.1, "alpha_x": 0.2, "alpha_y": 0.35}
@@ -159,31 +161,31 @@ def test_the_standard_cannot_be_averaged_away():
 
 def test_the_search_keeps_to_its_budget_and_stops_when_it_is_there():
     made = candidates(measured(n_incidences=6), n_incidences=6)
-    merit = merit_of_all(np.ones(4, dtype=bool))
+    criterion = d_optimality(np.ones(4, dtype=bool))
     for budget in (3, 8, 12):
-        assert choose(made, merit, budget=budget).n_images <= budget
+        assert choose(made, criterion, budget=budget).n_images <= budget
     target = 1.05 * made.expected(made.everything).u
 
     def reached(expected):
         return bool(np.all(expected.u <= target))
 
-    found = choose(made, merit_of_targets(target), reached=reached)
+    found = choose(made, c_optimality(target), reached=reached)
     assert reached(made.expected(found))
     assert found.n_images <= made.everything.n_images
 
 
 def test_the_search_is_as_good_as_trying_every_plan():
     made = candidates(measured(n_incidences=4), n_incidences=4)
-    merit = merit_of_all(np.ones(4, dtype=bool))
-    found = choose(made, merit, budget=8)
+    criterion = d_optimality(np.ones(4, dtype=bool))
+    found = choose(made, criterion, budget=8)
     every = [
         Design(i, r)
         for i in [(a,) for a in range(4)] + [(a, b) for a in range(4) for b in range(a + 1, 4)]
         for r in [(0,), (1,), (0, 1)]
     ]
-    best = min(merit(made.expected(design)) for design in every)
+    best = min(criterion(made.expected(design)) for design in every)
     # A merit is the sum of four logarithms: 5 % of each.
-    assert merit(made.expected(found)) < best + 4 * np.log(1.05)
+    assert criterion(made.expected(found)) < best + 4 * np.log(1.05)
 
 
 def test_a_coarser_sensor_sums_the_same_pixels():
@@ -204,22 +206,22 @@ def tiny(name="modern12", **parts):
 
 
 def test_a_plan_for_alpha_y_does_more_with_a_frame_than_the_default():
-    found = plan_for(tiny(), MODEL, WARD, {"alpha_y": 0.001})
+    found = gonio.design(MODEL, WARD, instrument=tiny(), wanted={"alpha_y": 0.001})
     j = MODEL.names.index("alpha_y")
-    ratio = (found.of_default.u[j] / found.expected.u[j]) ** 2
-    assert ratio * found.default.n_frames / found.plan.n_frames > 2
-    assert found.plan.n_frames < found.default.n_frames
-    assert found.helped[j][2] > 1
+    ratio = (found.expected_of_default.u[j] / found.expected.u[j]) ** 2
+    assert ratio * found.default_plan.n_frames / found.plan.n_frames > 2
+    assert found.plan.n_frames < found.default_plan.n_frames
+    assert found.most_helpful[j][2] > 1
 
 
 def test_without_a_wish_the_plan_is_as_good_as_the_default_and_smaller():
     model = models.get("ward_isotropic")
-    found = plan_for(tiny(), model, PLASTIC, {})
+    found = gonio.design(model, PLASTIC, instrument=tiny())
     # Exposures that were left out may cost 1 %.
-    assert np.all(found.expected.u <= 1.02 * found.of_default.u)
-    assert found.plan.n_frames < found.default.n_frames
+    assert np.all(found.expected.u <= 1.02 * found.expected_of_default.u)
+    assert found.plan.n_frames < found.default_plan.n_frames
     assert found.plan.rotations_deg == (0.0,)
-    assert set(found.plan.exposures_s) <= set(found.default.exposures_s)
+    assert set(found.plan.exposures_s) <= set(found.default_plan.exposures_s)
 
 
 @pytest.mark.parametrize(
@@ -228,9 +230,10 @@ def test_without_a_wish_the_plan_is_as_good_as_the_default_and_smaller():
     ids=["ideal", "drift"],
 )
 def test_simulations_scatter_as_expected(name, lamp, seeds):
-    model = models.get("ward_isotropic")
-    found = plan_for(tiny(name, lamp=lamp), model, PLASTIC, {}, budget=12)
-    check = _verified(found, seeds)
+    rig = tiny(name, lamp=lamp)
+    check = gonio.design(
+        "ward_isotropic", PLASTIC, instrument=rig, budget=12, verify=seeds
+    ).verification
     ratios = np.array([row["ratio"] for row in check["parameters"]])
     # The scatter of 20 seeds is known to 1/sqrt(2 19) = 16 %.
     assert check["relative_sd_of_scatter"] == pytest.approx(0.16, abs=0.005)

@@ -27,7 +27,7 @@ BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
 
 # ---------------------------------------------------------------- direction of imports
 
-FOUNDATION = {"_version", "errors", "files", "geometry"}
+FOUNDATION = {"_version", "errors", "files", "geometry", "progress"}
 SURFACE = FOUNDATION | {"kernels", "models", "samples", "shared_term", "data"}
 VERBS = {
     "simulate": "simulation",
@@ -40,6 +40,7 @@ ALL = {"*"}
 ALLOWED = {
     "": ALL,  # gonio/__init__.py names the verbs and rooms; nothing imports it
     "_version": set(),
+    "progress": set(),
     "errors": set(),
     "files": {"errors"},
     "geometry": {"errors", "files"},
@@ -60,6 +61,8 @@ ALLOWED = {
     "calibration": FOUNDATION
     | {"session", "metadata", "samples", "shared_term", "board", "kernels.threads"},
     "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels"},
+    "planning": SURFACE
+    | {"session", "metadata", "instrument", "simulation", "calibration", "fitting"},
     "formats": FOUNDATION | {"samples", "shared_term"},
     "rendering": SURFACE,
     "plotting": ALL,

@@ -5,9 +5,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
+from typing import TYPE_CHECKING
 
 import rich_click as click
+
+if TYPE_CHECKING:
+    from gonio.progress import Stage
 
 
 @contextmanager
@@ -40,6 +44,32 @@ def progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     if last is not None:
         seconds = time.monotonic() - start
         click.echo(f"{doing}: {last[0]} of {last[1]} {unit} in {seconds:.1f} s", err=True)
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[Stage, int, int], None]]:
+    """A callback (stage, done, total) that shows one stage of the work after the other.
+
+    A stage ends when all of it is done; the next one begins with its first call.
+    """
+    current: Stage | None = None
+    show: Callable[[int, int], None] = _nothing
+
+    with ExitStack() as stack:
+
+        def callback(stage: Stage, done: int, total: int) -> None:
+            nonlocal current, show
+            if stage != current:
+                stack.close()
+                show = stack.enter_context(progress(stage.doing, stage.unit))
+                current = stage
+            if total:
+                show(done, total)
+            if 0 < total <= done:
+                stack.close()
+                current = None
+
+        yield callback
 
 
 def _nothing(done: int, total: int) -> None:

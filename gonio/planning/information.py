@@ -1,10 +1,10 @@
-"""Where to measure: Fisher information of candidate images, and the plan that it leads to.
+"""Fisher information of candidate images: what a fit to any choice of them will state.
 
 Every candidate image is known by its samples as a measurement would deliver them: directions,
 cells, variances and the errors that they share. From these follow, for any choice of images,
 
 - what a fit will state: parameters by weighted least squares over the independent errors, shared
-  errors carried through linearly (`uncertainty.py`): H^-1 + sum_g m_g m_g^T with
+  errors carried through linearly (`gonio.fitting.uncertainty`): H^-1 + sum_g m_g m_g^T with
   H = J^T W J and m_g = H^-1 J^T W u_g for every draw g of a shared error u;
 - the information that an estimator could use which knows the shared errors' sizes: they are
   unknowns with unit prior, marginalised by a Schur complement. Its inverse bounds the first from
@@ -15,7 +15,7 @@ With 1e5 pixels an image, counts decide next to nothing and the lamp and the sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,12 +26,8 @@ from gonio.fitting.problem.problem import Problem
 from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray
 from gonio.models import Model
-from gonio.samples import BRDFSamples, SharedTerm
-
-MAX_REPEATS = 4  # takes of each background and standard that are considered
-_EXCHANGE = 1e-3  # by which a merit must fall for an exchange
-_LEAST_GAIN = 0.02  # of what averaging alone would bring, below which images are not worth it
-_MISSING = 100.0  # what a parameter without information adds to a merit
+from gonio.samples import BRDFSamples
+from gonio.shared_term import SharedTerm
 
 
 @dataclass(frozen=True)
@@ -287,146 +283,3 @@ def _standard(information: FloatArray) -> FloatArray:
     """Standard uncertainties (P,) of an information; infinite where there is none."""
     inverse, determined = _inverse(information)
     return np.where(determined, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
-
-
-# ---------------------------------------------------------------- which images to take
-
-Merit = Callable[[Expected], float]
-
-
-def merit_of_targets(targets: FloatArray) -> Merit:
-    """ln sum (u/target)^2 over the parameters that are wanted (c-optimal).
-
-    Parameters
-    ----------
-    targets : ndarray, shape (P,)
-        Wanted standard uncertainties; NaN where a parameter is not asked for.
-    """
-    wanted = np.flatnonzero(np.isfinite(targets))
-
-    def merit(expected: Expected) -> float:
-        known = wanted[expected.determined[wanted]]
-        total = float(np.sum((expected.u[known] / targets[known]) ** 2))
-        missing = len(wanted) - len(known)
-        return (np.log(total) if total > 0 else 0.0) + _MISSING * missing
-
-    return merit
-
-
-def merit_of_all(known: NDArray[np.bool_]) -> Merit:
-    """ln of the product of the standard uncertainties, whatever the parameters' units.
-
-    Parameters
-    ----------
-    known : ndarray of bool, shape (P,)
-        Parameters of which some image says something.
-    """
-    wanted = np.flatnonzero(known)
-
-    def merit(expected: Expected) -> float:
-        found = wanted[expected.determined[wanted]]
-        u = np.maximum(expected.u[found], 1e-300)
-        return float(np.sum(np.log(u))) + _MISSING * (len(wanted) - len(found))
-
-    return merit
-
-
-def choose(
-    candidates: Candidates,
-    merit: Merit,
-    *,
-    budget: int | None = None,
-    reached: Callable[[Expected], bool] | None = None,
-) -> Design:
-    """Few images with a small merit: greedy choice with exchange.
-
-    From the best single image on, what lowers the merit most for each image that it costs is
-    taken: an incidence, a rotation at every incidence, or another take of every background and
-    standard. After each, angles are exchanged for others while that helps. The search ends where
-    `reached` says so, at the budget, or where nothing helps; then what is not needed is dropped.
-
-    Parameters
-    ----------
-    candidates : Candidates
-    merit : callable
-        From `merit_of_targets` or `merit_of_all`.
-    budget : int, optional
-        Images of sample, standard and background together, at least 3.
-    reached : callable, optional
-        Whether what is expected is good enough; never, where not given.
-    """
-    limit = np.inf if budget is None else budget
-
-    def value(design: Design) -> float:
-        return merit(candidates.expected(design))
-
-    def good(design: Design) -> bool:
-        return reached is not None and reached(candidates.expected(design))
-
-    whole = candidates.everything
-    singles = [Design((i,), (r,)) for i in whole.incidences for r in whole.rotations]
-    design = min(singles, key=value)
-    while not good(design):
-        now = value(design)
-        bigger = [d for d in _additions(design, whole) if d.n_images <= limit]
-        gains = [(now - value(d)) / (d.n_images - design.n_images) for d in bigger]
-        if not gains or max(gains) < _LEAST_GAIN / max(design.n_images, 1):
-            break
-        design = _exchanged(bigger[int(np.argmax(gains))], whole, value)
-    while good(design):
-        smaller = [d for d in _removals(design) if good(d)]
-        if not smaller:
-            break
-        design = min(smaller, key=lambda d: (d.n_images, value(d)))
-    return design
-
-
-def _additions(design: Design, whole: Design) -> Iterator[Design]:
-    """The design with one incidence, rotation or take more."""
-    for i in sorted(set(whole.incidences) - set(design.incidences)):
-        yield replace(design, incidences=tuple(sorted({*design.incidences, i})))
-    for r in sorted(set(whole.rotations) - set(design.rotations)):
-        yield replace(design, rotations=tuple(sorted({*design.rotations, r})))
-    if design.repeats < MAX_REPEATS:
-        yield replace(design, repeats=design.repeats + 1)
-
-
-def _removals(design: Design) -> Iterator[Design]:
-    """The design with one incidence, rotation or take less."""
-    for i in design.incidences if len(design.incidences) > 1 else ():
-        yield replace(design, incidences=tuple(k for k in design.incidences if k != i))
-    for r in design.rotations if len(design.rotations) > 1 else ():
-        yield replace(design, rotations=tuple(k for k in design.rotations if k != r))
-    if design.repeats > 1:
-        yield replace(design, repeats=design.repeats - 1)
-
-
-def _exchanged(design: Design, whole: Design, value: Callable[[Design], float]) -> Design:
-    """The design with each of its angles in turn replaced by the best one."""
-    for i in design.incidences:
-        swapped = _swapped(design.incidences, i, whole.incidences)
-        design = _better([replace(design, incidences=found) for found in swapped], design, value)
-    for r in design.rotations:
-        swapped = _swapped(design.rotations, r, whole.rotations)
-        design = _better([replace(design, rotations=found) for found in swapped], design, value)
-    return design
-
-
-def _swapped(chosen: tuple[int, ...], old: int, whole: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The numbers with another one in the place of `old`.
-
-    Examples
-    --------
-    >>> _swapped((0, 2), 2, (0, 1, 2, 3))
-    [(0, 1), (0, 3)]
-    """
-    kept = set(chosen) - {old}
-    return [tuple(sorted({*kept, new})) for new in whole if new not in chosen]
-
-
-def _better(others: list[Design], design: Design, value: Callable[[Design], float]) -> Design:
-    """The best of the others if it is better than the design."""
-    if not others:
-        return design
-    best = min(others, key=value)
-    return best if value(best) < value(design) - _EXCHANGE else design

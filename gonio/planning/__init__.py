@@ -1,0 +1,1 @@
+"""Where to measure: plans of images by Fisher information, and their check by simulation."""

@@ -1,0 +1,57 @@
+"""Criteria of optimal design: one number that a plan of images makes small.
+
+References
+----------
+A. Atkinson, A. Donev, R. Tobias, "Optimum Experimental Designs, with SAS", Oxford 2007, chapter 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.geometry import FloatArray
+from gonio.planning.information import Expected
+
+_MISSING = 100.0  # what a parameter without information adds to a criterion
+
+Criterion = Callable[[Expected], float]
+
+
+def c_optimality(targets: FloatArray) -> Criterion:
+    """C-optimality: ln sum (u/target)^2 over the parameters that are wanted.
+
+    Parameters
+    ----------
+    targets : ndarray, shape (P,)
+        Wanted standard uncertainties; NaN where a parameter is not asked for.
+    """
+    wanted = np.flatnonzero(np.isfinite(targets))
+
+    def criterion(expected: Expected) -> float:
+        known = wanted[expected.determined[wanted]]
+        total = float(np.sum((expected.u[known] / targets[known]) ** 2))
+        missing = len(wanted) - len(known)
+        return (np.log(total) if total > 0 else 0.0) + _MISSING * missing
+
+    return criterion
+
+
+def d_optimality(determined: NDArray[np.bool_]) -> Criterion:
+    """D-optimality: ln of the product of the standard uncertainties, whatever their units.
+
+    Parameters
+    ----------
+    determined : ndarray of bool, shape (P,)
+        Parameters of which some image says something.
+    """
+    wanted = np.flatnonzero(determined)
+
+    def criterion(expected: Expected) -> float:
+        found = wanted[expected.determined[wanted]]
+        u = np.maximum(expected.u[found], 1e-300)
+        return float(np.sum(np.log(u))) + _MISSING * (len(wanted) - len(found))
+
+    return criterion

@@ -1,0 +1,170 @@
+"""What a plan search returns: the plan, and what is expected of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gonio.instrument import Instrument
+from gonio.metadata import Plan
+from gonio.planning.information import Expected
+from gonio.planning.virtual_session import Setup
+
+AS_GOOD = 1 + 1e-9  # times a wanted uncertainty: rounding does not make a plan fail
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """A plan with what is expected of it.
+
+    Parameters
+    ----------
+    setup : Setup
+        The instrument as it was planned with: coarse, of one channel.
+    instrument : Instrument
+        The instrument as it was given.
+    parameters, wanted : mapping
+        Values, radians for angles, and relative standard uncertainties to reach.
+    plan, default_plan : Plan
+        For the instrument's channels.
+    expected, expected_of_default : Expected
+        What a fit to each plan will state.
+    most_helpful : list
+        For each parameter theta_i and rotation of the image that it would miss most, degrees, and
+        the factor by which its uncertainty grows without it.
+    determined : list of bool
+        Parameters of which some candidate image says something.
+    meanings : mapping of str to str
+        What the sources of uncertainty are.
+    verification : mapping, optional
+        See `gonio.planning.verification.verify`.
+    """
+
+    setup: Setup
+    instrument: Instrument
+    parameters: Mapping[str, float]
+    wanted: Mapping[str, float]
+    plan: Plan
+    default_plan: Plan
+    expected: Expected
+    expected_of_default: Expected
+    most_helpful: list[tuple[float, float, float] | None]
+    determined: list[bool]
+    meanings: Mapping[str, str]
+    verification: Mapping[str, Any] | None = None
+
+    @property
+    def u_relative(self) -> dict[str, float | None]:
+        """Expected relative standard uncertainty of each parameter; None where not determined."""
+        return {row["name"]: row["u_relative"] for row in self._rows()}
+
+    def document(self) -> dict[str, Any]:
+        """The result as one JSON document, in the units of files."""
+        rows = self._rows()
+        reached = [row["u_relative"] is not None and row["u_relative"] <= row["wanted"] * AS_GOOD
+                   for row in rows if row["wanted"] is not None]  # fmt: skip
+        return {
+            "schema": "gonio.design/1",
+            "model": self.setup.model.name,
+            "instrument": self.instrument.name,
+            "pixels": list(self.setup.instrument.sensor.shape),
+            "plan": _described(self.plan),
+            "default": _described(self.default_plan),
+            "parameters": rows,
+            "reached": all(reached) if reached else None,
+            "remarks": self._remarks(rows),
+        }
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [self._row(j) for j in range(len(self.setup.model.parameters))]
+
+    def _row(self, j: int) -> dict[str, Any]:
+        parameter = self.setup.model.parameters[j]
+        value = self.parameters[parameter.name]
+        known = self._known(j, self.expected)
+        source, largest = self.expected.limit(j) if known else (None, math.nan)
+        helpful = self.most_helpful[j] if known else None
+        return {
+            "name": parameter.name,
+            "value": parameter.to_file(value),
+            "unit": parameter.file_unit,
+            "u": parameter.to_file(float(self.expected.u[j])) if known else None,
+            "u_relative": _share(self.expected.u[j], value) if known else None,
+            "u_of_default": (
+                parameter.to_file(float(self.expected_of_default.u[j]))
+                if self._known(j, self.expected_of_default)
+                else None
+            ),
+            "wanted": self.wanted.get(parameter.name),
+            "largest_source": source,
+            "largest_source_u": parameter.to_file(largest) if known else None,
+            "helped_most_by": None if helpful is None else _helping(*helpful),
+        }
+
+    def _known(self, j: int, expected: Expected) -> bool:
+        """Whether the images say more of a parameter than its allowed range does."""
+        parameter = self.setup.model.parameters[j]
+        return bool(expected.determined[j] and expected.u[j] < (parameter.upper - parameter.lower))
+
+    def _remarks(self, rows: list[dict[str, Any]]) -> list[str]:
+        lines = []
+        for j, row in enumerate(rows):
+            if not self.determined[j]:
+                value = f"{row['value']:.4g}{' ' * bool(row['unit'])}{row['unit']}"
+                lines.append(
+                    f"{row['name']}: no plan of {self.instrument.name} determines it where it is "
+                    f"{value}."
+                    if row["wanted"] is None
+                    else f"{row['name']}: {100 * row['wanted']:.2g} % was wanted, and no plan of "
+                    f"{self.instrument.name} determines it where it is {value}."
+                )
+            elif row["u"] is None:
+                lines.append(f"{row['name']}: this plan does not determine it.")
+            elif row["wanted"] is not None and row["u_relative"] > row["wanted"] * AS_GOOD:
+                lines.append(self._limited(row))
+        if len(self.instrument.channels) > 1:
+            dimmest = self.setup.instrument.channels[0].name
+            lines.append(
+                f"{len(self.instrument.channels)} channels: planned in the dimmest, {dimmest}; "
+                "frames are counted in all."
+            )
+        return lines
+
+    def _limited(self, row: dict[str, Any]) -> str:
+        """Why a wanted precision is out of reach."""
+        share = _share(row["largest_source_u"], row["value"])
+        assert share is not None
+        meaning = self.meanings[row["largest_source"]]
+        per_cent = f"{100 * share:.2g} %"
+        alone = (
+            f"{meaning} alone is {per_cent}, more than that"
+            if share > row["wanted"]
+            else f"the largest source is {meaning} with {per_cent}"
+        )
+        return (
+            f"{row['name']}: {100 * row['wanted']:.2g} % was wanted and "
+            f"{100 * row['u_relative']:.2g} % is reached; {alone}."
+        )
+
+
+def _helping(theta_i_deg: float, rotation_deg: float, growth: float) -> dict[str, float | None]:
+    """The image that a parameter would miss most; no growth where nothing is left without it."""
+    finite = growth if math.isfinite(growth) else None
+    return {"theta_i_deg": theta_i_deg, "rotation_deg": rotation_deg, "growth": finite}
+
+
+def _share(u: float, value: float) -> float | None:
+    return float(u) / abs(value) if value else None
+
+
+def _described(plan: Plan) -> dict[str, Any]:
+    return {
+        "theta_i_deg": list(plan.theta_i_deg),
+        "rotations_deg": list(plan.rotations_deg),
+        "exposures_s": list(plan.exposures_s),
+        "repeats": plan.repeats,
+        "images": plan.n_images,
+        "frames": plan.n_frames,
+    }

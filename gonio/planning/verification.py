@@ -1,0 +1,70 @@
+"""A plan against simulation: do fits to its sessions scatter as was expected?"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from gonio.calibration.reduction.reduce import reduce
+from gonio.fitting.fit import fit
+from gonio.metadata import Channel
+from gonio.planning.error_terms import CONSTANT
+from gonio.planning.result import DesignResult
+from gonio.progress import StagedProgress, begin
+
+
+def verify(
+    result: DesignResult, n_seeds: int, *, progress: StagedProgress | None = None
+) -> dict[str, Any]:
+    """Scatter of fits to simulated sessions against what was expected of it.
+
+    Parameters
+    ----------
+    result : DesignResult
+    n_seeds : int
+        Sessions to simulate, at least 2.
+    progress : callable, optional
+        Called with (stage, seeds done, seeds in all).
+
+    Returns
+    -------
+    dict
+        ``seeds``, ``relative_sd_of_scatter``, and under ``parameters`` for each its predicted
+        standard deviation, the scatter, their ratio and the bias, in the unit of files.
+    """
+    setup = result.setup
+    plan = result.plan.model_copy(update={"channels": (Channel(),)})
+    callback = begin(progress, f"verifying with {n_seeds} seeds", "seeds")
+    fitted = []
+    for seed in range(n_seeds):
+        samples = reduce(setup.drawn(plan, seed), threads=setup.threads)
+        fitted_to = fit(samples, model=setup.model, threads=setup.threads)
+        fitted.append([fitted_to.parameters[q.name].value for q in setup.model.parameters])
+        if callback is not None:
+            callback(seed + 1, n_seeds)
+    values = np.array(fitted)
+    constant = {*CONSTANT}
+    if setup.instrument.surroundings.multibounce_uncertainty is None:
+        constant.add("multi-bounce")
+    rows = []
+    for j, q in enumerate(setup.model.parameters):
+        known = bool(result.expected.determined[j])
+        parts = {k: u[j] for k, u in result.expected.components.items() if k not in constant}
+        predicted = q.to_file(float(np.sqrt(sum(u**2 for u in parts.values())))) if known else None
+        scatter = float(values[:, j].std(ddof=1))
+        rows.append(
+            {
+                "name": q.name,
+                "predicted": predicted,
+                "scatter": scatter,
+                "ratio": scatter / predicted if predicted else None,
+                "bias": float(values[:, j].mean() - q.to_file(result.parameters[q.name])),
+            }
+        )
+    return {
+        "seeds": n_seeds,
+        "relative_sd_of_scatter": 1 / math.sqrt(2 * (n_seeds - 1)),
+        "parameters": rows,
+    }

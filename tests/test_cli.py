@@ -654,16 +654,16 @@ def test_doctor_without_a_dependency(gonio, monkeypatch):
 
 
 def test_doctor_without_a_cache(gonio, monkeypatch, tmp_path):
-    from gonio.kernels import build
+    from gonio import cache
 
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("GONIO_CACHE_DIR", str(tmp_path / "file" / "cache"))
-    build._cache_folder.cache_clear()
+    cache.folder.cache_clear()
     try:
         code, out, _ = gonio("doctor")
     finally:
         monkeypatch.undo()
-        build._cache_folder.cache_clear()
+        cache.folder.cache_clear()
     assert code == 0
     assert "CANNOT be written" in out

@@ -14,7 +14,7 @@ from types import FunctionType
 import numpy as np
 import pytest
 
-from gonio import models
+from gonio import cache, models
 from gonio.errors import ConfigurationError
 from gonio.geometry import unit_vectors
 from gonio.kernels import build, default_threads, fastmath, loops, map_blocks, single
@@ -457,8 +457,8 @@ print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()), out[0])
 """
 
 
-def run(cache: Path) -> list[str]:
-    environment = {**os.environ, "GONIO_CACHE_DIR": str(cache)}
+def run(folder: Path) -> list[str]:
+    environment = {**os.environ, "GONIO_CACHE_DIR": str(folder)}
     done = subprocess.run(
         [sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, check=True
     )
@@ -477,7 +477,7 @@ class TestCache:
         monkeypatch.setenv("GONIO_CACHE_DIR", str(tmp_path / "cache"))
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.setattr(sys, "dont_write_bytecode", True)
-        build._cache_folder.cache_clear()
+        cache.folder.cache_clear()
         build.loops_for.cache_clear()
         up, out = np.array([[0.0, 0.0, 1.0]]), np.empty(1)
         kernel = """
@@ -511,7 +511,7 @@ class TestCache:
         finally:
             for name in ("made_up_model", "made_up_helper"):
                 sys.modules.pop(name, None)
-            build._cache_folder.cache_clear()
+            cache.folder.cache_clear()
             build.loops_for.cache_clear()
 
     def test_a_home_that_cannot_be_written_is_replaced_by_a_temporary_folder(
@@ -520,14 +520,14 @@ class TestCache:
         blocked = tmp_path / "file"
         blocked.write_text("a file where a folder should be")
         monkeypatch.setenv("GONIO_CACHE_DIR", str(blocked / "cache"))
-        build._cache_folder.cache_clear()
+        cache.folder.cache_clear()
         try:
-            folder = build._cache_folder()
+            folder = cache.folder()
             assert folder.is_dir()
             assert blocked not in folder.parents
             folder.rmdir()
         finally:
-            build._cache_folder.cache_clear()
+            cache.folder.cache_clear()
 
 
 class TestFastMath:

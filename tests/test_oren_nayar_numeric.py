@@ -380,7 +380,7 @@ def test_the_table_is_reciprocal(table):
 
 
 def test_the_table_is_kept_on_disk_and_mended(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(_vcavity_table, "_cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(_vcavity_table, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(_vcavity_table, "STEPS", 4)
     fresh = _vcavity_table.table.__wrapped__
     with caplog.at_level(logging.WARNING):

@@ -9,7 +9,6 @@ import re
 import sys
 from collections.abc import Callable
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import rich_click as click
@@ -89,10 +88,10 @@ def _threads() -> int:
 
 def _cache() -> dict[str, Any]:
     """The folder of compiled code; a temporary one stands in where it cannot be written."""
-    from gonio.kernels import build
+    from gonio import cache
 
-    wanted = Path(os.environ.get("GONIO_CACHE_DIR") or Path.home() / ".cache" / "gonio")
-    return {"folder": str(wanted), "writable": build._cache_folder() == wanted}
+    wanted = cache.wanted_folder()
+    return {"folder": str(wanted), "writable": cache.folder() == wanted}
 
 
 def _check(title: str, compute: Callable[[], tuple[float, float]]) -> dict[str, Any]:

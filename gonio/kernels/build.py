@@ -4,7 +4,7 @@ numba caches machine code only for functions that live in a file, so the loops o
 written, header and all, to a file in the cache folder whose name is a hash of every source that
 went into it: a changed model, a changed loop or a changed numba makes a new file, and stale code
 cannot be run. A kernel that is written when asked for, such as a sum of models, goes the same way.
-The folder is `GONIO_CACHE_DIR`, else `~/.cache/gonio`.
+`gonio.cache` says which folder that is.
 
 Loops for float32 are another such file, made when the first float32 directions come: the same
 kernel and the same loops, with their constants in single precision (`gonio.kernels.single`).
@@ -15,7 +15,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
-import os
 import re
 import sys
 import tempfile
@@ -26,6 +25,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
+from gonio.cache import folder as cache_folder
 from gonio.kernels.single import in_single, must_be_double, text_in_single
 from gonio.kernels.split import split
 
@@ -256,7 +256,7 @@ def generated_module(prefix: str, text: str, ingredients: Iterable[str] = ()) ->
         generated module can import another.
     """
     digest = hashlib.sha256("\0".join([text, *ingredients]).encode()).hexdigest()[:16]
-    path = _cache_folder() / f"{prefix}_{digest}.py"
+    path = cache_folder() / f"{prefix}_{digest}.py"
     if not path.exists():
         with tempfile.NamedTemporaryFile(
             "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
@@ -362,17 +362,3 @@ def _reached(function: Callable[..., Any]) -> list[FunctionType]:
             if isinstance(callee, FunctionType) and _plain(callee) not in found:
                 found.append(_plain(callee))
     return found
-
-
-@cache
-def _cache_folder() -> Path:
-    """The cache folder, or a temporary one where no home can be written."""
-    given = os.environ.get("GONIO_CACHE_DIR")
-    folder = Path(given) if given else Path.home() / ".cache" / "gonio"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="gonio-"))
-    return folder

@@ -29,9 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.cache import folder as cache_folder
 from gonio.geometry import FloatArray
 from gonio.kernels import map_blocks
-from gonio.kernels.build import _cache_folder, compiled
+from gonio.kernels.build import compiled
 from gonio.models import _vcavity, torrance_sparrow
 from gonio.models._vcavity import _SLOPE, _pair, _ring, gaussian
 from gonio.models.torrance_sparrow import slope_norm
@@ -125,7 +126,7 @@ def table() -> Table:
     """The table of this machine's cache folder, computed if it is not there."""
     sources = [_vcavity.__file__, torrance_sparrow.__file__, __file__]
     digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sources)).hexdigest()
-    path = _cache_folder() / f"oren_nayar_numeric_{digest[:16]}.npy"
+    path = cache_folder() / f"oren_nayar_numeric_{digest[:16]}.npy"
     try:
         return Table(np.load(path))
     except (OSError, ValueError, EOFError):

@@ -38,8 +38,8 @@ model and of its table are printed by `python -m benchmarks.oren_nayar_numeric`.
 FIRST_CALL = """## First call
 
 Compiling the loops of a model takes seconds, once for each model and machine: the code is kept in
-the cache folder (`GONIO_CACHE_DIR`, else `gonio` below `XDG_CACHE_HOME` or `~/.cache`). Each line is
-a new process; what is left with a full cache is mostly the loading of numba.
+the cache folder (`GONIO_CACHE_DIR`, else `gonio` below `XDG_CACHE_HOME` or `~/.cache`). Each line
+is a new process; what is left with a full cache is mostly the loading of numba.
 """
 
 

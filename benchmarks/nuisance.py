@@ -154,7 +154,7 @@ def run(seed: int, *, frames: bool) -> list[Seen]:
 def _parameters(way: str, result: FitResult) -> Iterator[Seen]:
     for q in get_model("ward").parameters:
         true = q.to_file(SURFACE[q.name])
-        interval = result.parameters[q.name].interval_95
+        interval = result.parameters[q.name].in_file_units().interval_95
         assert interval is not None, f"{q.name} is not determined"
         low, high = interval
         yield Seen(way, q.name, low <= true <= high, 100 * (high - low) / true)

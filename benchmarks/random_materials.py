@@ -76,7 +76,7 @@ def one(model: str, number: int, seed: int) -> list[dict[str, Any]]:
     result = gonio.fit(samples, model=chosen, threads=1)
     rows = []
     for q in chosen.parameters:
-        truth, estimate = q.to_file(p[q.name]), result.parameters[q.name]
+        truth, estimate = q.to_file(p[q.name]), result.parameters[q.name].in_file_units()
         z = None if estimate.stderr is None else (estimate.value - truth) / estimate.stderr
         rows.append(
             {

@@ -49,7 +49,8 @@ def recover(
     assert known is not None
     shutil.rmtree(path)
     rows = []
-    for name, estimate in result.parameters.items():
+    for name, own in result.parameters.items():
+        estimate = own.in_file_units()
         truth = model.parameter(name).to_file(get(material).parameters[name])
         error = estimate.value - truth
         # A standard that is brighter than certified makes all f too small.

@@ -66,7 +66,7 @@ def one_set(case: str, lie: Lie, number: int, seed: int) -> list[dict[str, Any]]
     rows = []
     for j, q in enumerate(model.parameters):
         truth = q.to_file(float(data.truth[j]))
-        estimate = plain.parameters[q.name]
+        estimate = plain.parameters[q.name].in_file_units()
         rows.append(
             {
                 "case": case,
@@ -106,7 +106,7 @@ def rank(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
 
 def held(kind: str, result: FitResult, name: str, truth: float) -> dict[str, Any]:
     """Whether each interval holds the truth: 1, 0, or empty where none is stated."""
-    estimate = result.parameters[name]
+    estimate = result.parameters[name].in_file_units()
     intervals = {"68": estimate.interval_68, "95": estimate.interval_95}
     return {
         f"{kind}_{level}": "" if pair is None else int(pair[0] <= truth <= pair[1])

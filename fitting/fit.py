@@ -91,7 +91,7 @@ def fit(
         The posterior's sampler; emcee takes over where the guard of the quicker marginal sampler
         refuses it.
     priors : mapping of str to str, optional
-        Priors in place of those that parameters declare, in the unit of files: "flat", "log",
+        Priors in place of those that parameters declare, angles in radians: "flat", "log",
         "normal(mean, sd)", "lognormal(median, factor)" or "half_normal(sd)". They enter the
         posterior alone.
     seed : int
@@ -106,7 +106,7 @@ def fit(
     Returns
     -------
     FitResult
-        With values in the unit of files (degrees for angles).
+        Angles in radians, so that `values()` goes back into a model, `start` and `simulate`.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def fit(
         model=chosen.name,
         status=found.status,
         parameters=estimates,
-        covariance=None if noiseless(problem, scale) else covariance(problem.parameters, errors),
+        covariance=None if noiseless(problem, scale) else covariance(errors),
         chi2=chi2,
         dof=dof,
         noise_scale=scale,

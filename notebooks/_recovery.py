@@ -96,7 +96,8 @@ def recover(
     fit = gonio.fit(gonio.reduce(path), model=model, posterior=posterior, seed=seed)
     shutil.rmtree(path)
     found = []
-    for name, estimate in fit.parameters.items():
+    for name, own in fit.parameters.items():
+        estimate = own.in_file_units()
         parameter = model.parameter(name)
         scale = 3 * rig.standard.uncertainty if parameter.linear else 0.0
         found.append(

@@ -116,12 +116,6 @@ fits = {
 
 
 # %%
-def of(fit):
-    """Parameters of a fit as the model takes them, angles in radians."""
-    model = models.get(fit.model)
-    return {k: model.parameter(k).from_file(v) for k, v in fit.values().items()}
-
-
 def radiance(model, p, theta_i, signed):
     """L_r for a beam of irradiance 1; signed angles are positive towards the light."""
     d = Directions(theta_i, 0.0, np.abs(signed), np.where(signed < 0, pi, 0.0))
@@ -133,7 +127,7 @@ sweep = np.radians(np.linspace(-85, 85, nb.choose(quick=69, full=171)))
 with style():
     fig, axes = plt.subplots(2, 2, figsize=(9.0, 6.2), layout="constrained")
     for ax, (name, (figure, _, model)) in zip(axes.flat, SAMPLES.items(), strict=True):
-        p = of(fits[name, model])
+        p = fits[name, model].values()
         parts = [
             one for one in in_plane(data[name], 6) if round(degrees(one.theta_i)) in (30, 45, 60)
         ]
@@ -180,7 +174,8 @@ nb.figure(
 # %%
 for name, (figure, letter, model) in SAMPLES.items():
     fit, known = fits[name, model], models.get(model)
-    for parameter, estimate in fit.parameters.items():
+    for parameter, own in fit.parameters.items():
+        estimate = own.in_file_units()
         true = known.parameter(parameter).to_file(get_material(name).parameters[parameter])
         u = estimate.stderr
         unit = " in deg" if parameter == "sigma" else ""
@@ -202,7 +197,7 @@ for name, (figure, letter, model) in SAMPLES.items():
 # %%
 rises = {}
 for name in ("wall_plaster", "white_sand"):
-    p = of(fits[name, SAMPLES[name][2]])
+    p = fits[name, SAMPLES[name][2]].values()
     for t in (30, 45, 60):
         L = radiance("oren_nayar_numeric", p, radians(t), np.radians(np.arange(-75.0, t + 1, 15)))
         rises[name, t] = bool(np.all(np.diff(L) > 0))
@@ -233,7 +228,7 @@ nb.record(
 )
 shares = {}
 for name in ("foam", "cotton_towel"):
-    p = of(fits[name, "oren_nayar_torrance_sparrow"])
+    p = fits[name, "oren_nayar_torrance_sparrow"].values()
     body = {k: v for k, v in p.items() if k != "ks_over_kb"}
     mirror = np.array([radians(-60)])
     both = radiance("oren_nayar_torrance_sparrow", p, radians(60), mirror)
@@ -254,7 +249,7 @@ nb.record(
 
 # %%
 for name in ("foam", "cotton_towel"):
-    p = of(fits[name, "oren_nayar_torrance_sparrow"])
+    p = fits[name, "oren_nayar_torrance_sparrow"].values()
     printed = get_material(name).parameters["ks_over_kb"]
     slopes_deg = (np.arange(9000) + 0.5) / 100
     norm = sum(
@@ -283,14 +278,15 @@ def off(name, variant):
     """RMS relative difference of the fitted f from the surface's own, over the samples."""
     directions, own = data[name].directions, SAMPLES[name][2]
     true = models.get(own)(directions, **get_material(name).parameters)
-    f = models.get(variant)(directions, **of(fits[name, variant]))
+    f = models.get(variant)(directions, **fits[name, variant].values())
     return float(np.sqrt(np.mean((f / true - 1) ** 2)))
 
 
 def told(name, variant):
     """sigma in degrees, rho and the lobe as a report would have them."""
     values = []
-    for estimate in fits[name, variant].parameters.values():
+    for own in fits[name, variant].parameters.values():
+        estimate = own.in_file_units()
         bound = {None: "", "lower": " (lower bound)", "upper": " (upper bound)"}
         values.append(f"{estimate.value:.3g}{bound[estimate.at_bound]}")
     names = fits[name, variant].parameters
@@ -320,7 +316,7 @@ nb.table("variants", ["printed: sigma, rho, k_s/k_b", "fitted by", "report", "f 
 for name in ("wall_plaster", "white_sand"):
     figure, letter, model = SAMPLES[name]
     p = get_material(name).parameters
-    estimate = fits[name, "oren_nayar"].parameters["sigma"]
+    estimate = fits[name, "oren_nayar"].parameters["sigma"].in_file_units()
     nb.record(
         f"{figure}: sigma in deg of {name.replace('_', ' ')} ({letter}) as (14) to (16) would have "
         "reported it",
@@ -333,7 +329,7 @@ for name in ("wall_plaster", "white_sand"):
 for name in ("foam", "cotton_towel"):
     figure, letter, model = SAMPLES[name]
     p = get_material(name).parameters
-    estimate = fits[name, "oren_nayar"].parameters["sigma"]
+    estimate = fits[name, "oren_nayar"].parameters["sigma"].in_file_units()
     nb.record(
         f"{figure}: sigma in deg of {name.replace('_', ' ')} ({letter}) without the lobe",
         degrees(p["sigma"]),
@@ -369,7 +365,7 @@ with style():
         ax.plot(x, parts[0].value * 0.5, "o", color=GREY, markersize=2.5, label="measured")
         for variant, line in zip(VARIANTS, ("-", "--", "-.", ":"), strict=True):
             if (name, variant) in fits:
-                L = radiance(variant, of(fits[name, variant]), radians(60), sweep)
+                L = radiance(variant, fits[name, variant].values(), radians(60), sweep)
                 ax.plot(np.degrees(sweep), L, line, label=VARIANTS[variant])
         ax.set_title(f"{get_material(name).title}, $θ_i$ = 60°")
         ax.set_xlabel("$θ_r$ (°), positive towards the light")

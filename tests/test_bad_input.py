@@ -33,7 +33,7 @@ def honest(result, name):
     result.to_json()
     for q in models.get(name).parameters:
         estimate = result.parameters[q.name]
-        assert q.to_file(q.lower) <= estimate.value <= q.to_file(q.upper)
+        assert q.lower <= estimate.value <= q.upper
         assert estimate.stderr is None or 0 < estimate.stderr < np.inf
         if estimate.stderr is not None:
             # A number below the rounding of the value is no uncertainty.

@@ -523,7 +523,7 @@ def test_intervals_hold_the_truth_with_shared_errors_learnt():
         pulls += [(e.estimate - t) / e.stderr for e, t in zip(result.nuisance, z, strict=True)]
         for q in models.get("ward").parameters:
             low, high = result.parameters[q.name].interval_95
-            hits[q.name] += low <= q.to_file(BRUSHED[q.name]) <= high
+            hits[q.name] += low <= BRUSHED[q.name] <= high
     for name, count in hits.items():
         # 3 standard deviations of a binomial count.
         assert count / repeats >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / repeats), name

@@ -60,7 +60,7 @@ def samples(session) -> BRDFSamples:
 def record_of(model: str, values: dict[str, float], n_samples: int, **more) -> FitResult:
     """A converged fit with these values, 1 % uncertain."""
     estimates = {
-        name: Estimate(v, 0.01 * v, models.get(model).parameter(name).file_unit, None, None, None)
+        name: Estimate(v, 0.01 * v, models.get(model).parameter(name).unit, None, None, None)
         for name, v in values.items()
     }
     given = {"source": {"sample": "shiny_thing", "instrument": "small12"}} | more
@@ -244,7 +244,7 @@ def test_corner_states_the_unit_and_leaves_far_truth_out():
         "sigma": (("chain", "draw"), rng.normal(40, 1, (4, 300))),
     }
     draws = xr.Dataset(drawn, attrs={"model": "oren_nayar"})
-    triangle = plotting.corner(draws, {"sigma": 80.0}, Figure(figsize=(4, 4)))
+    triangle = plotting.corner(draws, {"sigma": np.radians(80)}, Figure(figsize=(4, 4)))
     assert triangle[1][1].get_xlabel() == "$σ$ (°)"
     assert triangle[1][1].get_xlim()[1] < 50
     with pytest.raises(DataError, match="do not name their model"):

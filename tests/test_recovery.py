@@ -11,7 +11,6 @@ import gonio
 from gonio.instrument import Instrument, preset
 from gonio.materials import get
 from gonio.metadata import Plan
-from gonio.models import get as get_model
 from gonio.session import read_truth
 
 
@@ -43,12 +42,8 @@ def loop(material: str, rig: Instrument, folder, *, rotations=(0.0,), **options)
         material, output=path, instrument=rig, plan=plan(rig, rotations=rotations), seed=11
     )
     result = gonio.fit(gonio.reduce(session), model=get(material).model, **options)
-    model = get_model(get(material).model)
     truth = read_truth(path)["parameters"]
-    found = {
-        name: (e.value, model.parameter(name).to_file(truth[name]), e.stderr)
-        for name, e in result.parameters.items()
-    }
+    found = {name: (e.value, truth[name], e.stderr) for name, e in result.parameters.items()}
     return result, found
 
 
@@ -69,7 +64,7 @@ def test_ward_materials_come_back_from_ideal_frames(material, tmp_path):
 def test_rough_surfaces_come_back_from_ideal_frames(material, tmp_path):
     result, found = loop(material, coarse("ideal12"), tmp_path)
     assert result.status == "converged"
-    assert abs(found["sigma"][0] - found["sigma"][1]) < 1.0  # deg
+    assert abs(found["sigma"][0] - found["sigma"][1]) < np.radians(1.0)
     assert found["rho"][0] == pytest.approx(found["rho"][1], rel=0.01)
     assert found["ks_over_kb"][0] == pytest.approx(found["ks_over_kb"][1], rel=0.10)
     for name, (value, true, stderr) in found.items():

@@ -129,10 +129,11 @@ def _farthest(problem: JointProblem, optimum: Optimum, parts: Sequence[PartFit])
         for part in parts:
             alone, sd = part.alone.get(q.name, (0.0, None))
             if sd:
-                distance = abs(alone - q.to_file(float(value))) / sd
+                distance = abs(alone - float(value)) / sd
                 unit = f" {q.file_unit}" if q.file_unit else ""
                 text = (
-                    f"Farthest is {part.name}: {q.name} alone {alone:.4g} +/- {sd:.2g}{unit}, "
+                    f"Farthest is {part.name}: {q.name} alone {q.to_file(alone):.4g} +/- "
+                    f"{q.to_file(sd):.2g}{unit}, "
                     f"together {q.to_file(float(value)):.4g}{unit}."
                 )
                 worst = max(worst, (distance, text))

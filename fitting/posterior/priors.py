@@ -1,8 +1,9 @@
 """Priors: what is held of a parameter before the data, declared with it or given for one fit.
 
 A prior is written flat, log (flat in the logarithm), normal(mean, sd), lognormal(median, factor) or
-half_normal(sd), in the unit of files, and always ends at the bounds of its parameter. Priors enter
-the posterior alone; the least-squares minimum and its covariance do not know them.
+half_normal(sd), and always ends at the bounds of its parameter. Priors enter the posterior alone;
+the least-squares minimum and its covariance do not know them. Texts of parameters and files hold
+degrees for angles; texts that Python gives to `resolve` hold radians.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -85,7 +86,7 @@ class Prior:
 
 
 def parse(q: Parameter, text: str) -> Prior:
-    """The prior of a parameter from its text.
+    """The prior of a parameter from its text, in the unit of files (degrees for angles).
 
     Raises
     ------
@@ -165,7 +166,7 @@ def _checked(q: Parameter, text: str, kind: str, numbers: Sequence[float]) -> Pr
 def resolve(
     parameters: tuple[Parameter, ...], given: Mapping[str, str | Prior] | None = None
 ) -> tuple[Prior, ...]:
-    """The prior of every parameter: as given, else as the parameter declares it.
+    """The prior of every parameter: as given, angles in radians, else as declared with it.
 
     A prior for `rho_d` also holds for `rho_d[red]` of a joint fit, unless that has its own.
 
@@ -189,6 +190,10 @@ def resolve(
             raise unknown_name("parameter for a prior", name, names)
     chosen = []
     for q in parameters:
-        prior = given.get(q.name, given.get(stems[q.name], q.prior))
-        chosen.append(prior if isinstance(prior, Prior) else parse(q, prior))
+        prior = given.get(q.name, given.get(stems[q.name]))
+        if prior is None:
+            prior = parse(q, q.prior)
+        elif isinstance(prior, str):
+            prior = parse(replace(q, unit=""), prior)  # its numbers are those of Python
+        chosen.append(prior)
     return tuple(chosen)

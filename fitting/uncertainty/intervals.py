@@ -27,7 +27,7 @@ NEAR_BOUND = 2  # half-widths of an interval within which a bound is asked for b
 def estimated(
     problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty, dof: int
 ) -> tuple[dict[str, Estimate], list[str]]:
-    """Every parameter with its standard uncertainty and intervals, in file units."""
+    """Every parameter with its standard uncertainty and intervals; angles in radians."""
     # Where the scatter stands for the noise, few degrees of freedom widen the intervals.
     known_noise = problem.weights == "sd"
     quantiles = [
@@ -50,7 +50,7 @@ def estimated(
         if j in optimum.limited:
             estimates[q.name] = _along_sum(problem, optimum, j, errors.noise_scale)
             continue
-        estimate = Estimate(q.to_file(value), None, q.file_unit, None, None, None)
+        estimate = Estimate(value, None, q.unit, None, None, None)
         if errors.determined[j] and bare:
             estimates[q.name] = estimate
             continue
@@ -102,16 +102,16 @@ def _inside(
                 end = bound
             elif side * (value + side * t * stderr - bound) >= 0:
                 end = bound_limit(problem, optimum, j, t**2, errors.noise_scale, side=side)
-            ends.append(q.to_file(bound if end is None else end))
+            ends.append(bound if end is None else end)
         intervals.append((ends[0], ends[1]))
-    if intervals[1] == (q.to_file(q.lower), q.to_file(q.upper)):
-        return Estimate(q.to_file(value), None, q.file_unit, None, None, None)
-    components = {name: q.to_file(u) for name, u in errors.components(j).items()}
+    if intervals[1] == (q.lower, q.upper):
+        return Estimate(value, None, q.unit, None, None, None)
+    components = errors.components(j)
     known = stderr < q.upper - q.lower
     return Estimate(
-        q.to_file(value),
-        q.to_file(stderr) if known else None,
-        q.file_unit,
+        value,
+        stderr if known else None,
+        q.unit,
         None,
         intervals[0],
         intervals[1],
@@ -129,10 +129,8 @@ def _along_sum(problem: Problem, optimum: Optimum, j: int, scale: float) -> Esti
             bound if end is None else end
             for end, bound in zip(ends, (q.lower, q.upper), strict=True)
         )
-        intervals.append((q.to_file(low), q.to_file(high)))
-    return Estimate(
-        q.to_file(float(optimum.p[j])), None, q.file_unit, "upper", intervals[0], intervals[1]
-    )
+        intervals.append((low, high))
+    return Estimate(float(optimum.p[j]), None, q.unit, "upper", intervals[0], intervals[1])
 
 
 def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple[Estimate, str]:
@@ -148,7 +146,7 @@ def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple
     intervals = []
     for limit in limits:
         low, high = sorted((value, far if limit is None else limit))
-        intervals.append((q.to_file(low), q.to_file(high)))
+        intervals.append((low, high))
     unit = f" {q.file_unit}" if q.file_unit else ""
     text = f"{q.name} is at its {at_bound} bound ({q.to_file(value):.4g}{unit}): "
     if limits[1] is None:
@@ -158,7 +156,7 @@ def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple
             f"the data do not support a value {'above' if side > 0 else 'below'} "
             f"{q.to_file(limits[1]):.3g}{unit} (95 %) and do not determine it otherwise."
         )
-    return Estimate(q.to_file(value), None, q.file_unit, at_bound, intervals[0], intervals[1]), text
+    return Estimate(value, None, q.unit, at_bound, intervals[0], intervals[1]), text
 
 
 def with_quantiles(
@@ -175,8 +173,8 @@ def with_quantiles(
     for j, q in enumerate(parameters):
         estimate = estimates[q.name]
         ends = estimate.interval_95 or (np.nan, np.nan)
-        near = [ends[0] <= q.to_file(q.lower), ends[1] >= q.to_file(q.upper)]
-        if estimate.value in (q.to_file(q.lower), q.to_file(q.upper)):
+        near = [ends[0] <= q.lower, ends[1] >= q.upper]
+        if estimate.value in (q.lower, q.upper):
             near = [estimate.at_bound == "lower", estimate.at_bound == "upper"]
         intervals = []
         for level in LEVELS:
@@ -188,16 +186,13 @@ def with_quantiles(
                 tail = (1 - level) / 2
                 low, high = np.quantile(flat[:, j], [tail, 1 - tail])
                 pair = (float(low), float(high))
-            intervals.append((q.to_file(pair[0]), q.to_file(pair[1])))
+            intervals.append(pair)
         result[q.name] = replace(estimate, interval_68=intervals[0], interval_95=intervals[1])
     return result
 
 
-def covariance(
-    parameters: tuple[Parameter, ...], errors: uncertainty.Uncertainty
-) -> list[list[float]] | None:
+def covariance(errors: uncertainty.Uncertainty) -> list[list[float]] | None:
+    """The covariance of all errors; None where a parameter is not determined."""
     if not errors.determined.all():
         return None
-    unit = np.array([q.to_file(1.0) for q in parameters])
-    scaled = errors.covariance * np.outer(unit, unit)
-    return [[float(v) for v in row] for row in scaled]
+    return [[float(v) for v in row] for row in errors.covariance]

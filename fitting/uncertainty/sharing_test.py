@@ -53,7 +53,7 @@ def sharing_test(
             if q.name in names:
                 sd = float(np.sqrt(errors.covariance[place[j], place[j]]))
                 known = errors.determined[place[j]] and sd < q.upper - q.lower
-                pairs[q.name] = (q.to_file(float(own.p[j])), q.to_file(sd) if known else None)
+                pairs[q.name] = (float(own.p[j]), sd if known else None)
         told.append(pairs)
     refused = p_value is not None and p_value < REFUSED
     return Sharing(names, growth, max(dof, 0), p_value, refused), told

@@ -58,7 +58,8 @@ def _identified(result: FitResult, found: Mapping[str, Any], console: Console) -
         table = _table(
             "What the data say", "parameter", "alone known to", "Cramer-Rao bound", "std. unc."
         )
-        for name, estimate in result.parameters.items():
+        for name, own in result.parameters.items():
+            estimate = own.in_file_units()
             unit = f" [{estimate.unit}]" if estimate.unit else ""
             values = (found["alone"][name], found["bound"][name], estimate.stderr)
             table.add_row(name + unit, *("unknown" if v is None else f"{v:.2g}" for v in values))
@@ -78,7 +79,7 @@ def _moved(result: FitResult, change: Mapping[str, float]) -> str:
     """A change along an axis in per cent of the values, small parts left out."""
     shown = []
     for name, step in change.items():
-        value = result.parameters[name].value
+        value = result.parameters[name].in_file_units().value
         if value and abs(step / value) >= 0.005:
             shown.append(f"{name} {100 * step / value:+.0f} %")
     return ", ".join(shown)

@@ -125,7 +125,7 @@ def command(
 
     model = get(model_name)
     start = _starts(model, starts) if starts else None
-    believed = read_priors(priors, posterior=posterior)
+    believed = read_priors(priors, model, posterior=posterior)
     if output is not None:
         check_target(output)
     shared = None if share is None else joint.shared_names(model, share)
@@ -344,6 +344,7 @@ def _show(result: FitResult, truth: dict[str, float] | None, console: Console) -
 
 def parameter_row(name: str, estimate: Estimate, true: float | None) -> list[str]:
     """Cells of one parameter: value, standard uncertainty, interval, and true value and error."""
+    estimate = estimate.in_file_units()
     unit = f" {estimate.unit}" if estimate.unit else ""
     digits = _decimals(estimate)
     interval = "unknown"

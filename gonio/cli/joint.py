@@ -234,7 +234,7 @@ def _own_columns(result: FitResult, own: set[str], truth: Mapping[str, float]) -
         names = [part.parameters[q] for part in result.parts]
         if names[0] not in own:
             continue
-        estimates = [result.parameters[name] for name in names]
+        estimates = [result.parameters[name].in_file_units() for name in names]
         unit = f" [{estimates[0].unit}]" if estimates[0].unit else ""
         digits = _common_decimals(estimates)
         columns.append([q + unit, *(_cell(estimate, digits) for estimate in estimates)])

@@ -178,10 +178,9 @@ def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
     for line in found.absent:
         click.echo(f"Left out of the picture: {line}", err=True)
     fit = found.fit
-    model = models.get(fit.model)
-    values = {name: model.parameter(name).from_file(v) for name, v in fit.values().items()}
     session = found.session or _session(source, found.samples)
-    return _Content(fit, found.samples, session, found.draws, model, values)
+    model = models.get(fit.model)
+    return _Content(fit, found.samples, session, found.draws, model, fit.values())
 
 
 def _measured(path: Path, select: Mapping[str, str]) -> tuple[BRDFSamples, Session | None]:

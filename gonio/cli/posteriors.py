@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
@@ -10,7 +11,9 @@ import rich_click as click
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from gonio.fitting.posterior.priors import Prior
     from gonio.fitting.result import PosteriorSummary
+    from gonio.models import Model
 
 
 def posterior_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -39,19 +42,24 @@ def posterior_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def read_priors(items: tuple[str, ...], *, posterior: bool) -> dict[str, str]:
-    """Texts of priors by parameter, split at the first equals sign.
+def read_priors(items: tuple[str, ...], model: Model, *, posterior: bool) -> dict[str, str | Prior]:
+    """Priors by parameter from texts in the unit of files, split at the first equals sign.
+
+    The prior of a name that the model does not have stays a text, which the fit refuses.
 
     Raises
     ------
     ConfigurationError
-        If there is no posterior, or an item is not NAME=PRIOR or given twice.
+        If there is no posterior, or an item is not NAME=PRIOR, given twice or no prior.
     """
     if items and not posterior:
         raise ConfigurationError(
             "--prior changes the posterior alone, and none was asked for; add --posterior."
         )
-    found: dict[str, str] = {}
+    from gonio.fitting.posterior.priors import parse
+
+    known = {q.name: q for q in model.parameters}
+    found: dict[str, str | Prior] = {}
     for item in items:
         name, _, text = (part.strip() for part in item.partition("="))
         if not (name and text):
@@ -62,7 +70,8 @@ def read_priors(items: tuple[str, ...], *, posterior: bool) -> dict[str, str]:
             )
         if name in found:
             raise ConfigurationError(f"--prior {name} is given twice; give it once.", value=item)
-        found[name] = text
+        q = known.get(name.partition("[")[0])
+        found[name] = text if q is None else parse(replace(q, name=name), text)
     return found
 
 

@@ -74,11 +74,19 @@ class Parameter:
         # Degrees in, radians out and back may miss the bound by an ulp.
         slack = 1e-12 * max(abs(self.lower), abs(self.upper))
         if not self.lower - slack <= number <= self.upper + slack:
-            raise ConfigurationError(
-                f"{self.name} = {self._show(number)} is out of range; {self._allowed()}.",
-                value=number,
-            )
+            text = f"{self.name} = {self._show(number)} is out of range; {self._allowed()}."
+            raise ConfigurationError(text + self._in_degrees(number), value=number)
         return min(max(number, self.lower), self.upper)
+
+    def _in_degrees(self, number: float) -> str:
+        """What to write where an angle beyond its bound would be one in degrees."""
+        radians = math.radians(number)
+        if self.unit != "rad" or number < self.upper or not self.lower <= radians <= self.upper:
+            return ""
+        return (
+            f" It looks like degrees; angles in Python are radians: write {self.name}="
+            f"{radians:.6g} for {number:.6g} deg."
+        )
 
     def _show(self, value: float) -> str:
         if self.unit == "rad":

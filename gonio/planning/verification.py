@@ -41,7 +41,9 @@ def verify(
     for seed in range(n_seeds):
         samples = reduce(setup.drawn(plan, seed), threads=setup.threads)
         fitted_to = fit(samples, model=setup.model, threads=setup.threads)
-        fitted.append([fitted_to.parameters[q.name].value for q in setup.model.parameters])
+        fitted.append(
+            [q.to_file(fitted_to.parameters[q.name].value) for q in setup.model.parameters]
+        )
         if callback is not None:
             callback(seed + 1, n_seeds)
     values = np.array(fitted)

@@ -180,13 +180,10 @@ def _model_line(result: FitResult | None, part: Slice, edge: float) -> Line | No
     if result is None:
         return None
     model = models.get(result.model)
-    values = {
-        name: model.parameter(name).from_file(value) for name, value in result.values().items()
-    }
     # The peak itself is one of the angles: a narrow lobe keeps its height.
     signed = np.union1d(np.linspace(-edge, edge, 721), [min(part.theta_i, edge)])
     phi_r = np.where(signed > 0, part.phi_i + np.pi, part.phi_i)
-    f = model(Directions(part.theta_i, part.phi_i, np.abs(signed), phi_r), **values)
+    f = model(Directions(part.theta_i, part.phi_i, np.abs(signed), phi_r), **result.values())
     return np.degrees(signed), f
 
 

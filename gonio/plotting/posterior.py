@@ -39,10 +39,11 @@ def corner(
     Parameters
     ----------
     draws : xarray.Dataset
-        Group "posterior" of a file of draws: variables over (chain, draw), in the unit of files,
-        with the model's name in the attribute `model`.
+        Group "posterior" of a file of draws, or of `FitResult.inference_data()`: variables over
+        (chain, draw), each in the unit that its attribute `units` names (degrees where it has
+        none), with the model's name in the attribute `model`.
     truth : mapping of str to float, optional
-        Known values, unit of files, drawn as thin lines.
+        Known values, angles in radians, drawn as thin lines.
     figure : Figure or SubFigure, optional
         Where to draw; a new figure where not given.
 
@@ -63,7 +64,8 @@ def corner(
     """
     parameters, columns = _draws_of(draws)
     n = len(parameters)
-    truth = truth or {}
+    given = truth or {}
+    truth = {q.name: q.to_file(given[q.name]) for q in parameters if q.name in given}
     limits = [_limits(c, truth.get(q.name)) for q, c in zip(parameters, columns, strict=True)]
     with style():
         if figure is None:
@@ -85,10 +87,15 @@ def _draws_of(draws: Any) -> tuple[list[Parameter], list[FloatArray]]:
     if name is None:
         raise DataError("the draws do not name their model (attribute 'model').")
     parameters = [q for q in models.get(str(name)).parameters if q.name in draws]
-    columns = [np.asarray(draws[q.name].values, float).ravel() for q in parameters]
+    columns = [_in_degrees(draws[q.name]) for q in parameters]
     if not columns or not columns[0].size:
         raise nothing_to_draw(f"the draws hold no parameter of {name}")
     return parameters, columns
+
+
+def _in_degrees(variable: Any) -> FloatArray:
+    values = np.asarray(variable.values, float).ravel()
+    return np.degrees(values) if variable.attrs.get("units") == "rad" else values
 
 
 def _limits(column: FloatArray, true: float | None) -> tuple[float, float]:

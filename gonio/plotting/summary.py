@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import floor, log10
+from math import floor, log10, radians
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,8 @@ def summary(
     draws : path or xarray.Dataset, optional
         The posterior's draws, netCDF, or as `read_draws` gives them.
     truth : mapping of str to float, optional
-        Known values of the parameters, unit of files; `fit.source["truth"]` where not given.
+        Known values of the parameters, angles in radians; those that the fit names as its source's
+        where not given.
 
     Returns
     -------
@@ -56,7 +57,7 @@ def summary(
         If there is nothing to draw, or a file that was given cannot be read.
     """
     if fit is not None and truth is None:
-        truth = fit.source.get("truth")
+        truth = _recorded_truth(fit)
     chain = read_draws(draws) if isinstance(draws, str | Path) else draws
     if samples is not None and not in_plane(samples):
         samples = None
@@ -75,8 +76,18 @@ def summary(
     return figure
 
 
+def _recorded_truth(fit: FitResult) -> dict[str, float]:
+    """True values that the fit's source states in degrees, angles in radians."""
+    recorded = fit.source.get("truth") or {}
+    units = {name: estimate.unit for name, estimate in fit.parameters.items()}
+    return {
+        name: radians(value) if units.get(name) == "rad" else value
+        for name, value in recorded.items()
+    }
+
+
 def read_draws(path: str | Path) -> Any:
-    """The draws of a posterior as an xarray.Dataset.
+    """The draws of a posterior as an xarray.Dataset, angles in degrees as the file has them.
 
     Raises
     ------
@@ -201,11 +212,13 @@ def _table(part: SubFigure, fit: FitResult, truth: Mapping[str, float] | None) -
     if truth:
         head += ["true", "difference / u"]
     body = []
-    for name, estimate in fit.parameters.items():
+    for name, own in fit.parameters.items():
+        estimate = own.in_file_units()
         q = model.parameter(name)
         line = [symbol(q), q.meaning, recovered(estimate)]
         if truth:
-            line += _true_columns(estimate, truth.get(name))
+            true = truth.get(name)
+            line += _true_columns(estimate, None if true is None else q.to_file(true))
         body.append(line)
     widths = _column_widths([head, *body])
     table = ax.table(

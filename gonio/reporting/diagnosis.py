@@ -63,7 +63,8 @@ def _identified(fit: FitResult, found: Mapping[str, Any]) -> list[Markup]:
     ]
     parts = [table(["", *names], rows, "Correlation of the independent errors")] if names else []
     rows = []
-    for name, estimate in fit.parameters.items():
+    for name, own in fit.parameters.items():
+        estimate = own.in_file_units()
         unit = f" ({estimate.unit})" if estimate.unit else ""
         figures = (found["alone"].get(name), found["bound"].get(name), estimate.stderr)
         rows.append([name + unit, *(None if u is None else f"{u:.2g}" for u in figures)])
@@ -91,7 +92,7 @@ def _moved(fit: FitResult, change: Mapping[str, float]) -> str:
     """A change along an axis in per cent of the values, small parts left out."""
     shown = []
     for name, step in change.items():
-        value = fit.parameters[name].value
+        value = fit.parameters[name].in_file_units().value
         if value and abs(step / value) >= 0.005:
             shown.append(f"{name} {100 * step / value:+.0f} %".replace("-", "−"))
     return ", ".join(shown)
@@ -107,7 +108,7 @@ def profiles(inputs: Inputs) -> Chart | None:
         problem = Problem.from_samples(samples, model, fit.weights)  # type: ignore[arg-type]
     except GonioError:
         return None
-    p = model.vector({n: model.parameter(n).from_file(v) for n, v in fit.values().items()})
+    p = model.vector(fit.values())
     whole = problem.n
     problem = thinned(problem.reweighted(p), PROFILED)
     optimum = minimise(problem, p, search=False)
@@ -117,7 +118,7 @@ def profiles(inputs: Inputs) -> Chart | None:
         estimate = fit.parameters[q.name]
         if estimate.interval_95 is None:
             continue
-        low, high = (q.from_file(end) for end in estimate.interval_95)
+        low, high = estimate.interval_95
         middle, half = (low + high) / 2, (high - low) / 2 * HALF_WIDTH / 1.96
         # Fewer samples have their minimum elsewhere: the profile is drawn about their own.
         points = np.linspace(middle - half, middle + half, POINTS) + optimum.p[j] - p[j]

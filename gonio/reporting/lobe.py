@@ -64,7 +64,7 @@ def columns(samples: BRDFSamples) -> list[FloatArray]:
 def fitted(fit: FitResult) -> Curve:
     """The fitted model as a function of directions."""
     model = models.get(fit.model)
-    values = {name: model.parameter(name).from_file(v) for name, v in fit.values().items()}
+    values = fit.values()
     return lambda directions: np.asarray(model(directions, **values))
 
 

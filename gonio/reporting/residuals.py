@@ -46,7 +46,7 @@ def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
     """Residuals in standard uncertainties, or in root mean squares where those are unknown."""
     model = models.get(fit.model)
     problem = Problem.from_samples(samples, model)
-    p = model.vector({n: model.parameter(n).from_file(v) for n, v in fit.values().items()})
+    p = model.vector(fit.values())
     f = problem.values(p)
     rest = samples.value - f
     if samples.u_independent is None:

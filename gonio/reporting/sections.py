@@ -94,7 +94,8 @@ def parameters(fit: FitResult) -> Markup:
     ]
     head += ["true", "difference / u"] if truth else []
     rows = []
-    for name, estimate in fit.parameters.items():
+    for name, own in fit.parameters.items():
+        estimate = own.in_file_units()
         known = [] if not truth else _true(estimate, truth.get(name))
         intervals = [interval(estimate, pair) for pair in _intervals(estimate)]
         meaning = model.parameter(name).meaning
@@ -197,10 +198,10 @@ def convergence(fit: FitResult) -> Markup:
 def parameter_budget(fit: FitResult) -> Markup:
     """Standard uncertainty of every parameter by source."""
     sources = list(dict.fromkeys(s for parts in shares(fit).values() for s in parts))
-    names = list(fit.parameters)
-    head = ["source", *(_with_unit(name, fit.parameters[name]) for name in names)]
-    rows: list[list[Any]] = [[s, *(_part(fit.parameters[n], s) for n in names)] for s in sources]
-    rows.append(["combined", *(_figure(fit.parameters[n].stderr) for n in names)])
+    shown = {name: estimate.in_file_units() for name, estimate in fit.parameters.items()}
+    head = ["source", *(_with_unit(name, estimate) for name, estimate in shown.items())]
+    rows: list[list[Any]] = [[s, *(_part(e, s) for e in shown.values())] for s in sources]
+    rows.append(["combined", *(_figure(e.stderr) for e in shown.values())])
     return table(head, rows, "Standard uncertainty of the parameters by source")
 
 

@@ -1,0 +1,92 @@
+"""The fields of a fit's result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from gonio.fitting.result.estimates import (
+    Estimate,
+    NuisanceEstimate,
+    PartFit,
+    PosteriorSummary,
+    Sharing,
+)
+
+
+@dataclass(frozen=True)
+class FitRecord:
+    """What a fit found, without what it can do; `FitResult` is this record with its methods.
+
+    Parameters
+    ----------
+    model : str
+    status : {"converged", "not_converged"}
+        "converged" only when the optimum passed its checks: the next step is far below the
+        uncertainties, chi-squared grows along every axis of the uncertainty ellipsoid, and the
+        model's derivatives agree with difference quotients. It is the deepest of the minima
+        that were found from several starts.
+    parameters : mapping of str to Estimate
+    covariance : list of lists, or None
+        In the order of `parameters`, angles in radians, shared terms included; None where a
+        parameter has no standard uncertainty.
+    chi2, dof : float, int
+        Weighted sum of squares of the residuals, and samples less free parameters.
+    noise_scale : float
+        Factor on the independent uncertainties: sqrt(chi2/dof) where that exceeds 1 or where no
+        uncertainty was given.
+    n_samples, n_negative : int
+    weights : str
+    cuts : mapping
+        Selections and angle limits that were applied.
+    seed : int
+    posterior : PosteriorSummary or None
+    warnings : tuple of str
+    diagnostics, versions, source : mapping
+        Plain data as the document holds them: angles in degrees.
+    parts : tuple of PartFit
+        The channels, wavelengths or materials of a joint fit, else empty.
+    sharing : Sharing or None
+        The test of a joint fit's shared parameters.
+    nuisance : tuple of NuisanceEstimate
+        Shared errors that were learnt with the fit, else empty.
+    engine : str
+        What searched for the minimum before the Gauss-Newton steps
+        (`gonio.fitting.minimum.engines`).
+    loss : str
+        What was made small (`gonio.fitting.problem.losses`); for another one than chi2 its value
+        stands as `chi2`, and uncertainties come from the scatter of the residuals.
+    """
+
+    model: str
+    status: Literal["converged", "not_converged"]
+    parameters: Mapping[str, Estimate]
+    covariance: list[list[float]] | None
+    chi2: float
+    dof: int
+    noise_scale: float
+    n_samples: int
+    n_negative: int
+    weights: str
+    seed: int
+    cuts: Mapping[str, Any] = field(default_factory=dict)
+    posterior: PosteriorSummary | None = None
+    warnings: tuple[str, ...] = ()
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
+    parts: tuple[PartFit, ...] = ()
+    sharing: Sharing | None = None
+    nuisance: tuple[NuisanceEstimate, ...] = ()
+    engine: str = "gauss_newton"
+    loss: str = "chi2"
+
+    @property
+    def ok(self) -> bool:
+        """True when the optimum, and the posterior where there is one, passed their checks."""
+        return self.status == "converged" and (self.posterior is None or self.posterior.converged)
+
+    def values(self) -> dict[str, float]:
+        """Parameter values by name, angles in radians, as models and `start` take them."""
+        return {name: estimate.value for name, estimate in self.parameters.items()}

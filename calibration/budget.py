@@ -17,16 +17,14 @@ from numpy.typing import NDArray
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, unit_vectors
 from gonio.samples import BRDFSamples
-from gonio.shared_term import SharedTerm
+from gonio.shared_term import Evaluation, SharedTerm
 
 COVERAGE = 2.0  # k of the expanded uncertainty: 95 % of a normal distribution
 TELLING = 3.0  # standard uncertainties that f must stand above 0 for a relative one to mean much
 NEIGHBOURS = 10  # samples that a slope is taken from
 
-Kind = Literal["A", "B"]
 Action = Literal["factor", "offset", "factor and offset", "turns", "blurs"]
 SAMPLE, IMAGE, INCIDENCE, SOME, ALL = "sample", "image", "incidence", "incidences", "all"
-FITTED = ("geometry, mode", "lens, mode")  # evaluated from calibration frames
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,17 @@ class Source:
         As a factor on f, an offset or both, or by turning or blurring the viewing direction.
     u : ndarray, shape (N,), or None
         Standard uncertainty of every sample by it, sr^-1; None where samples do not tell.
+    effect : str, optional
+        Key of the effect that it belongs to; None for noise and where it is not known.
     """
 
     name: str
     meaning: str
-    kind: Kind
+    kind: Evaluation
     shared_by: str
     acts: Action
     u: FloatArray | None
+    effect: str | None = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,7 @@ class Budget:
             row: dict[str, Any] = {
                 "name": source.name,
                 "meaning": source.meaning,
+                "effect": source.effect,
                 "kind": source.kind,
                 "shared_by": source.shared_by,
                 "acts": source.acts,
@@ -171,7 +173,6 @@ def budget(samples: BRDFSamples) -> Budget:
     sources = _noise(samples)
     slopes: _Slopes | None = None
     for term in samples.shared:
-        kind: Kind = "A" if term.name.startswith(FITTED) else "B"
         acts: Action = "factor"
         u: FloatArray | None = np.abs(term.change(samples.value))
         if term.shift is not None:
@@ -184,7 +185,9 @@ def budget(samples: BRDFSamples) -> Budget:
         elif term.offset is not None:
             acts = "factor and offset" if term.relative else "offset"
         shared_by = _shared_by(samples, term)
-        sources.append(Source(term.name, term.meaning, kind, shared_by, acts, u))
+        sources.append(
+            Source(term.name, term.meaning, term.evaluation or "B", shared_by, acts, u, term.effect)
+        )
     unknown = samples.metadata.get("unknown")
     if unknown is None:
         unknown = ["whatever the file does not say"]

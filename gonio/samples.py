@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from gonio.errors import DataError
 from gonio.files import atomic_path
 from gonio.geometry import HORIZON, Directions, FloatArray
+from gonio.shared_term import COLUMNS
 from gonio.shared_term import SharedTerm as SharedTerm
 
 SCHEMA = "gonio.samples/1"
@@ -272,26 +273,12 @@ def _to_dataset(samples: BRDFSamples) -> Any:
         variables["member_w_r"] = (("member", "xyz"), samples.cells.w_r)
         variables["member_weight"] = ("member", samples.cells.weight)
         variables["member_offset"] = ("bound", samples.cells.offsets)
-    terms = []
     for k, term in enumerate(samples.shared):
-        terms.append(
-            {
-                "name": term.name,
-                "meaning": term.meaning,
-                "relative": term.relative,
-                "blur": term.blur,
-                "turn": term.turn,
-                "typical": term.typical,
-            }
-        )
-        if term.group is not None:
-            variables[f"shared_{k}_group"] = ("sample", term.group)
-        if term.profile is not None:
-            variables[f"shared_{k}_profile"] = ("sample", term.profile)
-        if term.offset is not None:
-            variables[f"shared_{k}_offset"] = ("sample", term.offset, {"units": "sr-1"})
-        if term.shift is not None:
-            variables[f"shared_{k}_shift"] = (("sample", "xyz"), term.shift, {"units": "rad"})
+        for name, unit in COLUMNS.items():
+            column = getattr(term, name)
+            if column is not None:
+                where = ("sample", "xyz") if column.ndim == 2 else "sample"
+                variables[f"shared_{k}_{name}"] = (where, column, {"units": unit})
     return xr.Dataset(
         variables,
         attrs={
@@ -299,7 +286,7 @@ def _to_dataset(samples: BRDFSamples) -> Any:
             "quantity": QUANTITIES[samples.quantity],
             "convention": CONVENTION + (MIRRORED if samples.quantity == "BTDF" else ""),
             "reference_sharing": samples.reference_sharing,
-            "shared": json.dumps(terms),
+            "shared": json.dumps([term.record() for term in samples.shared]),
             "history": json.dumps(samples.history),
             "metadata": json.dumps(samples.metadata),
         },
@@ -330,18 +317,7 @@ def _from_dataset(dataset: Any) -> BRDFSamples:
         if offsets[0] != 0 or offsets[-1] != len(cells.weight) or np.any(np.diff(offsets) < 1):
             raise ValueError("the cells' member offsets are inconsistent")
     terms = tuple(
-        SharedTerm(
-            item["name"],
-            item["meaning"],
-            float(item["relative"]),
-            column(f"shared_{k}_group"),
-            column(f"shared_{k}_shift"),
-            float(item["blur"]),
-            column(f"shared_{k}_profile"),
-            column(f"shared_{k}_offset"),
-            float(item.get("turn", 0.0)),
-            bool(item.get("typical", False)),
-        )
+        SharedTerm.from_record(item, {c: column(f"shared_{k}_{c}") for c in COLUMNS})
         for k, item in enumerate(json.loads(dataset.attrs["shared"]))
     )
     columns = {name: column(name) for name in _PER_SAMPLE if name != "channel"}

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.geometry import FloatArray
+from gonio.terms_of_0_1 import properties
+
+Evaluation = Literal["A", "B"]
+BelongsTo = Literal["rig", "session"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,17 @@ class SharedTerm:
     typical : bool
         True where the term stands for errors of many shapes by a typical one, as for an uneven
         dome: it says how far parameters may be off, and is no unknown that data could tell.
+    effect : str, optional
+        The source of error that the term belongs to, a key of `gonio.calibration.effects`. This
+        and the following are None where they are not known, as for terms of one's own.
+    evaluation : {"A", "B"}, optional
+        A: from a fit to calibration frames; B: stated by certificate or operator.
+    averages : bool, optional
+        Whether more takes of standard and background make it smaller.
+    constant : bool, optional
+        Whether it is the same in every session that is simulated, whatever the seed.
+    belongs_to : {"rig", "session"}, optional
+        Whether two sessions on one rig have the same draw of it, or each has its own.
     """
 
     name: str
@@ -55,6 +71,11 @@ class SharedTerm:
     offset: FloatArray | None = None
     turn: float = 0.0
     typical: bool = False
+    effect: str | None = None
+    evaluation: Evaluation | None = None
+    averages: bool | None = None
+    constant: bool | None = None
+    belongs_to: BelongsTo | None = None
 
     def select(self, keep: NDArray[np.int64]) -> SharedTerm:
         """The term for these samples."""
@@ -70,6 +91,16 @@ class SharedTerm:
     def moves_directions(self) -> bool:
         """Whether the error is one of directions and not of the value."""
         return self.shift is not None or self.blur > 0 or self.turn > 0
+
+    @property
+    def of_rig(self) -> bool:
+        """Whether two sessions on one rig have the same draw: `belongs_to`, or what it suggests.
+
+        Where nobody states it, an error of directions or one number for all samples is the rig's.
+        """
+        if self.belongs_to is not None:
+            return self.belongs_to == "rig"
+        return self.moves_directions or self.group is None
 
     def change(self, value: FloatArray) -> FloatArray:
         """Change of values (N,) for one standard deviation; 0 where it `moves_directions`."""
@@ -142,3 +173,34 @@ class SharedTerm:
         n = len(change)
         places = (np.arange(n), self.draw(n))
         return csr_array((change, places), shape=(n, self.n_draws))
+
+    def record(self) -> dict[str, Any]:
+        """Words, numbers and properties for JSON; the arrays are left out."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in COLUMNS}
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any], columns: Mapping[str, Any]) -> SharedTerm:
+        """The term that `record` describes.
+
+        Parameters
+        ----------
+        record : mapping
+            As `record` gave it, or as files of version 0.1 have it, without `effect`: what the
+            term is then follows from its name (`gonio.terms_of_0_1`).
+        columns : mapping
+            The array, or None, for each name of `COLUMNS`.
+
+        Raises
+        ------
+        KeyError
+            If it lacks name, meaning or size.
+        """
+        own = {f.name for f in fields(cls) if f.name not in COLUMNS}
+        known = {} if "effect" in record else properties(record["name"])
+        stated = {name: value for name, value in record.items() if name in own}
+        sizes = {name: float(record[name]) for name in ("relative", "blur")}
+        return cls(**{**known, **stated, **sizes, **columns})
+
+
+# Fields of a term that have a value for every sample, and their units.
+COLUMNS = {"group": "1", "profile": "1", "offset": "sr-1", "shift": "rad"}

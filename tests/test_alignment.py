@@ -453,7 +453,7 @@ class TestFrames:
         assert max(stderr["aligned"].values()) < 0.01
         modes = [t.name for t in samples.shared if t.name.startswith("geometry, mode")]
         assert 3 <= len(modes) <= 8
-        assert "uncertainty of the lens: unknown, not included" in samples.history
+        assert "unknown, not included: lens calibration (lens.uncertain)" in samples.history
         assert "pupil displaced by (0.3" in samples.history[2]
 
     def test_the_document_says_what_is_not_known(self, askew, tmp_path, capsys):

@@ -5,7 +5,7 @@ import pytest
 from virtual import Drawn, images, small
 
 import gonio
-from gonio.calibration.effects.multibounce import NAME, image_albedo
+from gonio.calibration.effects.multibounce import RECORD, image_albedo
 from gonio.checks import directional_albedo
 from gonio.instrument.records import metadata
 from gonio.metadata import Plan
@@ -25,7 +25,7 @@ def reduced(u, model="lambert", **parameters):
 
 
 def term(samples):
-    return next((t for t in samples.shared if t.name == NAME), None)
+    return next((t for t in samples.shared if t.name == RECORD.name), None)
 
 
 @pytest.mark.parametrize("rho", [0.05, 0.5, 0.95])
@@ -63,7 +63,7 @@ def test_the_albedo_of_an_image_is_that_of_the_surface():
     from gonio.calibration.reduction import reduce as reduction
 
     seen = {}
-    original = reduction.multibounce.corrected
+    original = reduction.effects.corrected
 
     def kept(known, parts):
         seen["parts"] = parts
@@ -71,7 +71,7 @@ def test_the_albedo_of_an_image_is_that_of_the_surface():
 
     ward = {"rho_d": 0.3, "rho_s": 0.1, "alpha_x": 0.1, "alpha_y": 0.2}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reduction.multibounce, "corrected", kept)
+        patch.setattr(reduction.effects, "corrected", kept)
         reduced(None, "ward", **ward)
     for part in seen["parts"]:
         found, u = image_albedo([part])

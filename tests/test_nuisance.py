@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from virtual import images, small
 
 import gonio
 from gonio import cli, models
-from gonio.calibration.effects.all_terms import _azimuth_terms
+from gonio.calibration.effects import azimuth
 from gonio.errors import ConfigurationError
 from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.problem.nuisance import NuisanceProblem
@@ -562,8 +563,11 @@ def test_a_turn_survives_the_file(tmp_path):
 
 
 def test_the_stated_azimuth_becomes_a_term_and_the_unstated_one_is_named():
-    assert _azimuth_terms(Limits()) == _azimuth_terms(Limits(u_azimuth_deg=0.0)) == []
-    (term,) = _azimuth_terms(Limits(u_azimuth_deg=0.5))
+    def terms(limits):
+        return list(azimuth.terms(SimpleNamespace(metadata=SimpleNamespace(limits=limits))))
+
+    assert terms(Limits()) == terms(Limits(u_azimuth_deg=0.0)) == []
+    (term,) = terms(Limits(u_azimuth_deg=0.5))
     assert (term.name, term.group) == ("azimuth", None)
     assert term.turn == pytest.approx(np.radians(0.5))
 

@@ -8,7 +8,7 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.calibration.effects.all_terms import _slope_terms
+from gonio.calibration.effects import dome_slope
 from gonio.calibration.reflector import camera_angles, solid_angle_ratio
 from gonio.errors import DataError
 from gonio.geometry import rotated, unit_vectors
@@ -112,7 +112,8 @@ def test_the_history_says_what_was_done(reduced):
     assert mapping == "eq. (3) with R = 150 mm, D = 15 mm (ellipsoid)"
     assert masked.startswith("masked: theta_r > 80 deg; saturated 0 pixels; ")
     assert cells.endswith(f" pixels in {len(reduced)} equal-area cells")
-    assert "uncertainty of the geometry and of the lens: unknown, not included" in notes
+    assert "unknown, not included: geometry of the dome (geometry.uncertain)" in notes
+    assert "unknown, not included: lens calibration (lens.uncertain)" in notes
 
 
 def test_an_unfinished_session_is_refused(tmp_path, lambertian):
@@ -346,7 +347,8 @@ def test_slope_errors_stretch_a_lobe_alike_in_every_direction(psi_deg):
         limits=Limits(slope_error_deg=0.05, slope_correlation_deg=10.0),
         plan=SimpleNamespace(theta_i_deg=(30.0,)),
     )
-    terms = _slope_terms(stated, [part], np.zeros(24, np.int64))
+    measured = SimpleNamespace(metadata=stated, images=[part], incidence=np.zeros(24, np.int64))
+    terms = list(dome_slope.terms(measured))
     outwards = (w_r - mirror) / np.linalg.norm(w_r - mirror, axis=1, keepdims=True)
     along = [np.sum(t.shift * outwards, axis=1) for t in terms if t.name != "dome slope, shift"]
     spread = np.sqrt(np.sum(np.square(along), axis=0))

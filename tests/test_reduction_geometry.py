@@ -189,7 +189,7 @@ class TestStatedErrors:
         total = np.sqrt(sum(np.sum(t.shift**2, axis=1) for t in terms))
         assert total.max() < np.hypot(np.radians(0.1) * 1.2, 2 * 0.2 / 150 * 1.05)
         assert total.max() > 0.9 * 2 * 0.2 / 150
-        assert "uncertainty of the lens: unknown, not included" in samples.history
+        assert "unknown, not included: lens calibration (lens.uncertain)" in samples.history
 
     def test_the_errors_turn_with_the_sample(self, tmp_path, turned):
         """The same geometry seen from a sample turned by 30 deg: shifts turn with the frame."""
@@ -213,7 +213,11 @@ class TestStatedErrors:
     @pytest.mark.parametrize(
         ("lamp", "blur_deg", "line"),
         [
-            ({"half_angle_deg": None}, None, "source cone: half-angle unknown, not included"),
+            (
+                {"half_angle_deg": None},
+                None,
+                "unknown, not included: the lamp's cone (lamp.half_angle_deg)",
+            ),
             ({"half_angle_deg": 0.0}, None, None),
             (
                 {"half_angle_deg": 1.0},
@@ -242,7 +246,7 @@ class TestStatedErrors:
             assert terms == []
         else:
             assert np.degrees(terms[0].blur) == pytest.approx(blur_deg)
-        cones = [entry for entry in samples.history if entry.startswith("source cone")]
+        cones = [entry for entry in samples.history if "cone" in entry]
         assert cones == ([] if line is None else [line])
 
     def test_the_cone_widens_the_members(self, turned):

@@ -1,1 +1,71 @@
-"""Sources of error that samples share."""
+"""Sources of error that samples share: one file is one source, found by looking into this folder.
+
+A file that defines `EFFECT = Effect(...)` is a source of error; nothing else has to be told of it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from dataclasses import replace
+from functools import cache
+
+from gonio.calibration.dome.pixel_map import PixelMap
+from gonio.calibration.effects.base import Effect, Measured
+from gonio.calibration.image_cells import ImageCells
+from gonio.metadata import Metadata
+from gonio.shared_term import SharedTerm
+
+__all__ = ["all_effects", "corrected", "notes", "shared_terms", "unknown"]
+
+
+@cache
+def all_effects() -> tuple[Effect, ...]:
+    """Every source of error, in its order.
+
+    Examples
+    --------
+    >>> "lamp_drift" in [effect.key for effect in all_effects()]
+    True
+    """
+    found = []
+    for info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{info.name}")
+        effect = getattr(module, "EFFECT", None)
+        if isinstance(effect, Effect):
+            found.append(effect)
+    return tuple(sorted(found, key=lambda effect: (effect.order, effect.key)))
+
+
+def shared_terms(measured: Measured) -> tuple[SharedTerm, ...]:
+    """Every error that the samples of a session share, as far as its metadata tell of it."""
+    return tuple(
+        replace(term, effect=effect.key)
+        for effect in all_effects()
+        for term in effect.terms(measured)
+    )
+
+
+def corrected(metadata: Metadata, images: list[ImageCells]) -> list[ImageCells]:
+    """The cells without what is known of the effects."""
+    for effect in all_effects():
+        if effect.corrected is not None:
+            images = effect.corrected(metadata, images)
+    return images
+
+
+def unknown(metadata: Metadata, pixel_map: PixelMap) -> tuple[str, ...]:
+    """Sources of error whose size nobody stated, and that no uncertainty holds."""
+    return tuple(
+        each.text
+        for effect in all_effects()
+        for each in effect.unknown
+        if each.is_unknown(metadata, pixel_map)
+    )
+
+
+def notes(metadata: Metadata, pixel_map: PixelMap) -> tuple[str, ...]:
+    """Lines of the history: what was corrected, what was assumed, what is unknown."""
+    told = [line for effect in all_effects() for line in effect.notes(metadata)]
+    missing = [f"unknown, not included: {text}" for text in unknown(metadata, pixel_map)]
+    return (*told, *missing)

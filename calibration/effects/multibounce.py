@@ -7,18 +7,19 @@ uncertainty the reduction takes that back; the sample's albedo comes from its ow
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
 from gonio.calibration.image_cells import ImageCells
 from gonio.geometry import FloatArray
 from gonio.metadata import Metadata
 from gonio.shared_term import SharedTerm
 
-NAME = "multi-bounce"
-MEANING = "light that reaches the sample twice"
+# Without a correction it is the same in every simulated session, with one it is drawn.
+RECORD = TermRecord("multi-bounce", "light that reaches the sample twice", constant=True)
 
 
 def is_corrected(metadata: Metadata) -> bool:
@@ -72,21 +73,25 @@ def corrected(metadata: Metadata, parts: list[ImageCells]) -> list[ImageCells]:
     return done
 
 
-def terms(metadata: Metadata, parts: list[ImageCells]) -> list[SharedTerm]:
+def terms(measured: Measured) -> Iterator[SharedTerm]:
     """The shared error: what the correction leaves, or all of it where there is none."""
+    metadata, images = measured.metadata, measured.images
     g = metadata.limits.multibounce
     if not g:
-        return []
+        return
+    # A session that is simulated draws g only where the operator states how far it is known.
+    constant = metadata.limits.u_multibounce is None
     if not is_corrected(metadata):
         # For any albedo the error is at most this.
-        return [SharedTerm(NAME, MEANING, g * metadata.standard.reflectance)]
+        yield RECORD.shared(g * metadata.standard.reflectance, constant=constant)
+        return
     left: FloatArray = np.repeat(
-        [part.left for part in parts], [part.means.shape[1] for part in parts]
+        [part.left for part in images], [part.means.shape[1] for part in images]
     )
     largest = float(left.max(initial=0.0))
-    if largest == 0:
-        return []
-    return [SharedTerm(NAME, f"{MEANING}, after correction", largest, profile=left / largest)]
+    if largest:
+        meaning = f"{RECORD.meaning}, after correction"
+        yield RECORD.shared(largest, meaning=meaning, profile=left / largest, constant=constant)
 
 
 def notes(metadata: Metadata) -> tuple[str, ...]:
@@ -96,3 +101,22 @@ def notes(metadata: Metadata) -> tuple[str, ...]:
         return (f"multi-bounce corrected with g = {limits.multibounce:g} +- "
                 f"{limits.u_multibounce:g}",)  # fmt: skip
     return ()
+
+
+EFFECT = Effect(
+    key="multibounce",
+    order=90,
+    title="light that returns to the sample",
+    text="Light from the sample comes back to it by way of dome and lens: the irradiance of a "
+    "surface of albedo rho grows by 1 + g rho. Where g is stated with its uncertainty the "
+    "reduction takes that back, with the albedo that each image shows.",
+    records=(RECORD,),
+    terms=terms,
+    unknown=(Unknown("light that reaches the sample twice", "limits.multibounce"),),
+    figures=(
+        Figure("multi-bounce g", "limits.multibounce"),
+        Figure("uncertainty of the multi-bounce g", "limits.u_multibounce"),
+    ),
+    notes=notes,
+    corrected=corrected,
+)

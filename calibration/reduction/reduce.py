@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.calibration import effects
 from gonio.calibration.dome.pixel_map import PixelMap
-from gonio.calibration.effects import multibounce
-from gonio.calibration.effects.all_terms import notes, shared_terms, unknown
-from gonio.calibration.effects.light_terms import unknown_light
+from gonio.calibration.effects.base import Measured
 from gonio.calibration.faults import session as faults
 from gonio.calibration.faults.evidence import Evidence, Finding
 from gonio.calibration.frames import standard
@@ -111,7 +110,7 @@ def reduce(
     found = _findings(plan, evidence)
     if not force:
         _stop_at_errors(session, found)
-    samples = _collect(metadata, seen, multibounce.corrected(metadata, parts))
+    samples = _collect(metadata, seen, effects.corrected(metadata, parts))
     if held:
         line = f"geometry: {', '.join(held)} not determined by the alignment, as stated before"
         samples = replace(samples, history=(*samples.history, line))
@@ -368,7 +367,7 @@ def _collect(metadata: Metadata, seen: PixelMap, parts: list[ImageCells]) -> BRD
         # Where the standard was taken once every image uses it; that each has a background of its
         # own is left out, which errs on the safe side.
         reference_sharing=len(metadata.plan.theta_i_deg) * rotations if alone else rotations,
-        shared=shared_terms(metadata, seen, parts, image, incidence),
+        shared=effects.shared_terms(Measured(metadata, seen, parts, image, incidence)),
         solid_angle=np.concatenate([part.solid_angle for part in parts]),
         flags=(partial * FLAG_PARTIAL + entry * FLAG_ENTRY).astype(np.uint8),
         image=image,
@@ -385,7 +384,7 @@ def _collect(metadata: Metadata, seen: PixelMap, parts: list[ImageCells]) -> BRD
         metadata={
             "instrument": metadata.instrument,
             "sample": metadata.sample,
-            "unknown": list(unknown(metadata, seen)),
+            "unknown": list(effects.unknown(metadata, seen)),
         },
         quantity="BTDF" if metadata.plan.mode == "transmission" else "BRDF",
     )
@@ -411,7 +410,5 @@ def _history(
         + "; ".join(f"{k} {v} pixels" for k, v in masked.items()),
         f"{used} pixels in {n} equal-area cells",
         *([f"retro: {retro} of them in the lamp's entry patch, flagged"] if retro else []),
-        *multibounce.notes(metadata),
-        *notes(metadata, seen),
-        *(f"unknown, not included: {source}" for source in unknown_light(metadata)),
+        *effects.notes(metadata, seen),
     )

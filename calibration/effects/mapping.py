@@ -1,0 +1,30 @@
+"""What eq. (3) leaves out on a dome: the paper calls it an approximation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gonio.calibration.dome.pixel_map import left_out
+from gonio.calibration.effects.base import Effect, Measured, TermRecord
+from gonio.shared_term import SharedTerm
+
+RECORD = TermRecord("mapping", "what eq. (3) leaves out on this dome", constant=True)
+
+
+def terms(measured: Measured) -> Iterator[SharedTerm]:
+    """Exact direction less that of eq. (3), where the session is mapped by eq. (3)."""
+    if measured.pixel_map.mapping == "eq3":
+        shift = left_out(measured.pixel_map, *measured.pixels)
+        yield RECORD.shared(shift=measured.in_sample_frame(shift))
+
+
+EFFECT = Effect(
+    key="mapping",
+    order=10,
+    title="approximation of eq. (3)",
+    text="Eq. (3) turns a pixel into a direction only approximately, good to (D/R)^3 on an "
+    "ellipsoid. What it leaves out is computed by the law of reflection. `--mapping exact` does "
+    "without eq. (3) and without this error.",
+    records=(RECORD,),
+    terms=terms,
+)

@@ -136,9 +136,30 @@ def test_the_sums_are_those_of_the_jacobian(name, n_linear):
 
 
 def test_the_loops_read_as_plain_python():
-    """What numba compiles is the text of the file: a constant surface stands for the model."""
-    from gonio.kernels import moments
+    """What numba compiles is a template that runs as it stands, here for a constant surface."""
+    from gonio.kernels import sums
+    from gonio.kernels.kept import kept_around
+    from gonio.kernels.moments import moments_around
 
+    def store(both, above, gradient, k):
+        gradient[0, k] = both[1] if above else 0.0
+
+    def keep(kept, rows, k):
+        rows[0, k] = kept[0]
+
+    kept = kept_around(
+        lambda xi, yi, zi, xr, yr, zr: (zi,), keep, lambda rows, k, q: (q[0], 1.0), store
+    )
+    moments = moments_around(
+        unpack=lambda p: (p[0],),
+        call=lambda xi, yi, zi, xr, yr, zr, q: (q[0], 1.0),
+        store=store,
+        n_amplitudes=1,
+        n_kept=1,
+        keep_geometry=kept.keep_geometry,
+        kept_gradient=kept.kept_gradient,
+        add_products=sums.add_products,
+    )
     rng = np.random.default_rng(1)
     components = np.abs(rng.standard_normal((6, 300)))
     value, weight = rng.random(300), rng.random(300)

@@ -9,7 +9,7 @@ import sys
 import textwrap
 from dataclasses import fields
 from pathlib import Path
-from types import FunctionType
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,10 +17,22 @@ import pytest
 from gonio import cache, models
 from gonio.errors import ConfigurationError
 from gonio.geometry import unit_vectors
-from gonio.kernels import build, default_threads, fastmath, loops, map_blocks, single
-from gonio.kernels.build import Loops
+from gonio.kernels import (
+    build,
+    default_threads,
+    fastmath,
+    map_blocks,
+    scalar,
+    single,
+    sums,
+)
 from gonio.kernels.copies import suspects
+from gonio.kernels.kept import kept_around
+from gonio.kernels.loops import Loops, loops_around
+from gonio.kernels.moments import MomentLoops, moments_around
 from gonio.kernels.split import split
+from gonio.kernels.template import any_order, module_text, read
+from gonio.kernels.texels import TexelLoops, texels_around
 from gonio.models import base, pairs
 
 MODEL = models.get("ward")
@@ -34,6 +46,39 @@ def directions(seed: int, n: int, theta_max: float = 1.5) -> np.ndarray:
 
 def f(w_i: np.ndarray, w_r: np.ndarray, p: np.ndarray = P) -> np.ndarray:
     return np.array([MODEL.plain(i, r, p) for i, r in zip(w_i, w_r, strict=True)])
+
+
+def of_a_constant_surface() -> dict[str, object]:
+    """What the loops take, for f = p[0]: plain functions that the interpreter runs."""
+
+    def unpack(p):
+        return (p[0],)
+
+    def call(xi, yi, zi, xr, yr, zr, q):
+        return (q[0], 1.0)
+
+    def store(both, above, gradient, k):
+        gradient[0, k] = both[1] if above else 0.0
+
+    def keep(kept, rows, k):
+        rows[0, k] = kept[0]
+
+    kept = kept_around(
+        geometry=lambda xi, yi, zi, xr, yr, zr: (zi,),
+        keep=keep,
+        shape=lambda rows, k, q: (q[0], 1.0),
+        store=store,
+    )
+    return {
+        "unpack": unpack,
+        "call": call,
+        "store": store,
+        "n_kept": 1,
+        **vars(kept),
+        "add_products": sums.add_products,
+        "mirror": sums.mirror,
+        "sum_of_squares": sums.sum_of_squares,
+    }
 
 
 class TestLoops:
@@ -91,6 +136,7 @@ class TestLoops:
         assert out[1] == 0
 
     def test_the_loops_run_as_plain_python_too(self):
+        loops = loops_around(**of_a_constant_surface())
         w_i, w_r, p = directions(10, 6), directions(11, 6, theta_max=2.0), np.array([0.3])
         out, gradient = np.empty(6), np.empty((1, 6))
         loops.evaluate(*w_i.T, *w_r.T, p, out)
@@ -98,13 +144,14 @@ class TestLoops:
         loops.evaluate_gradient(*w_i.T, *w_r.T, p, out, gradient)
         np.testing.assert_array_equal(gradient[0], np.where(w_r[:, 2] > 0, 1, 0))
 
-    def test_every_loop_of_the_source_is_compiled(self):
-        functions = {name for name, value in vars(loops).items() if isinstance(value, FunctionType)}
-        public = {name for name in functions if not name.startswith("_")}
-        public -= {"call", "store", "unpack"}  # these the header brings
-        public -= {"add_products", "mirror", "sum_of_squares"}  # and these, from kernels.sums
-        public -= {"keep_geometry", "kept_gradient"}  # and these, from kernels.kept
-        assert public == set(Loops.__dataclass_fields__)
+    @pytest.mark.parametrize(
+        ("template", "record"),
+        [(loops_around, Loops), (moments_around, MomentLoops), (texels_around, TexelLoops)],
+    )
+    def test_every_loop_of_a_template_reaches_its_callers(self, template, record):
+        public = {name for name in read(template).functions if not name.startswith("_")}
+        # What a texel's loop alone calls is handed to nobody.
+        assert public - {"grid_sums"} == {f.name for f in fields(record)} - {"KEPT"}
 
     @pytest.mark.parametrize("name", ["ward", "oren_nayar"])
     def test_the_loop_over_pairs_is_simd_code(self, name):
@@ -152,6 +199,95 @@ class TestSums:
         columns = np.column_stack([value - f, jac[:, linear]])
         gram = (columns * weight[:, None]).T @ columns
         np.testing.assert_allclose(sums[1], gram[np.triu_indices(1 + n)], rtol=1e-11, atol=1e-13)
+
+
+STEP, NAME = 0.5, "a text"
+
+
+def _good(n_p):
+    @any_order
+    def total(x):
+        return sum(x) * n_p * STEP
+
+    return SimpleNamespace(total=total)
+
+
+def _with_a_statement(n_p):
+    half = n_p / 2
+
+    def f(x):
+        return x * half
+
+    return SimpleNamespace(f=f)
+
+
+def _without_a_return(n_p):
+    def f(x):
+        return x * n_p
+
+    def g(x):
+        return x
+
+
+def _with_another_decorator(n_p):
+    @staticmethod
+    def f(x):
+        return x * n_p
+
+    return SimpleNamespace(f=f)
+
+
+def _with_a_text(n_p):
+    def f(x):
+        return NAME * n_p
+
+    return SimpleNamespace(f=f)
+
+
+def _with_a_function(n_p):
+    def f(x):
+        return _good(x) * n_p
+
+    return SimpleNamespace(f=f)
+
+
+def _with_an_unknown_name(n_p):
+    def f(x):
+        return nowhere * n_p  # noqa: F821
+
+    return SimpleNamespace(f=f)
+
+
+class TestTemplate:
+    def test_a_file_holds_the_functions_as_they_are_written(self):
+        uncompiled = "def njit(**options):\n    return lambda function: function\n"
+        text = module_text(uncompiled + "n_p = 3\n", _good)
+        names: dict[str, object] = {}
+        exec(text, names)
+        assert text.endswith("def total(x):\n    return sum(x) * n_p * STEP\n")
+        assert 'fastmath={"reassoc", "contract"}' in text
+        assert names["total"]([1.0, 2.0]) == _good(3).total([1.0, 2.0]) == 4.5
+
+    def test_what_a_template_takes_must_stand_above_it(self):
+        with pytest.raises(
+            ValueError, match=r"template .*\._good: nothing above defines n_p; rule 2 of gonio"
+        ):
+            module_text("from numba import njit\n", _good)
+
+    @pytest.mark.parametrize(
+        ("template", "sentence"),
+        [
+            (_with_a_statement, "'half = n_p / 2' is neither an inner function nor the last.* 1"),
+            (_without_a_return, "it does not end in the return of a record by keywords; rule 1"),
+            (_with_another_decorator, "f is decorated by staticmethod; rule 4"),
+            (_with_a_text, "NAME is no parameter, no number and no module; rule 3"),
+            (_with_a_function, "_good is no parameter, no number and no module; rule 3"),
+            (_with_an_unknown_name, "nowhere is no parameter, no number and no module; rule 3"),
+        ],
+    )
+    def test_a_broken_rule_is_named(self, template, sentence):
+        with pytest.raises(ValueError, match=sentence):
+            read(template)
 
 
 class TestSplit:
@@ -358,7 +494,7 @@ class TestSinglePrecision:
         from numba import float32
 
         kernel = models.get(name).kernel
-        twin = build.compiled(kernel, single=True)
+        twin = scalar.compiled(kernel, single=True)
         twin.compile((float32,) * kernel.__code__.co_argcount)
         seen = [twin]
         for function in seen:
@@ -409,7 +545,7 @@ class TestSinglePrecision:
         monkeypatch.setattr(sys, "dont_write_bytecode", True)
         made_up = importlib.import_module("made_up_source").made_up
         try:
-            twin = build.compiled(made_up, single=True)
+            twin = scalar.compiled(made_up, single=True)
             result = twin(np.float32(0.7), np.float32(1.3))
             (signature,) = twin.nopython_signatures
             assert str(signature.return_type) == "UniTuple(float32 x 2)"
@@ -561,15 +697,15 @@ class TestFastMath:
 
     def test_machine_code_gives_the_same(self):
         # It rounds a product and a sum together, where the interpreter rounds twice.
-        exp, acos = build.compiled(fastmath.exp), build.compiled(fastmath.acos)
+        exp, acos = scalar.compiled(fastmath.exp), build.compiled(fastmath.acos)
         for x in (-1e6, -650.0, -3.7, 0.0, 1e-9, 2.5):
             assert exp(x) == pytest.approx(fastmath.exp(x), rel=4.5e-16)
         for z in (-1.5, -1.0, -0.3, 0.0, 1e-9, 0.7, 1 - 1e-12, 1.0, 1.5):
             assert acos(z) == pytest.approx(fastmath.acos(z), rel=4.5e-16)
 
     def test_the_twins_in_single_precision_are_good_to_two_units_in_the_last_place(self):
-        exp = build.compiled(fastmath.exp, single=True)
-        acos = build.compiled(fastmath.acos, single=True)
+        exp = scalar.compiled(fastmath.exp, single=True)
+        acos = scalar.compiled(fastmath.acos, single=True)
         x, z = (each.astype(np.float32) for each in (self.X / 10, self.Z))
         ours = [np.array([f(v) for v in each]) for f, each in ((exp, x), (acos, z))]
         assert {str(f.nopython_signatures[0].return_type) for f in (exp, acos)} == {"float32"}

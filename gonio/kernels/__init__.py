@@ -1,15 +1,15 @@
 """Compiled loops over a scalar reflectance kernel, and the cache that keeps them between runs."""
 
 from gonio.kernels.build import (
-    Loops,
-    MomentLoops,
     SingleLoops,
-    TexelLoops,
     loops_for,
     moment_loops_for,
     single_loops_for,
     texel_loops_for,
 )
+from gonio.kernels.loops import Loops
+from gonio.kernels.moments import MomentLoops
+from gonio.kernels.texels import TexelLoops
 from gonio.kernels.threads import default_threads, map_blocks, pair_block
 
 __all__ = [

@@ -11,7 +11,7 @@ import math
 from numba import njit
 
 from gonio.kernels import fastmath
-from gonio.kernels.build import compiled
+from gonio.kernels.scalar import compiled
 
 HORIZON = math.pi / 2
 _sincos = compiled(fastmath.sincos)

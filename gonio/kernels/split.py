@@ -10,12 +10,12 @@ last bit, for the same operations are done on the same numbers.
 from __future__ import annotations
 
 import ast
-import inspect
-import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import FunctionType
 from typing import Any
+
+from gonio.kernels.sources import definition, plain
 
 DIRECTIONS = 6  # leading arguments of a kernel
 MOST = 8  # numbers of a pair of directions that are worth keeping
@@ -45,8 +45,8 @@ def split(kernel: Callable[..., Any]) -> Split:
     Parameters
     ----------
     kernel : callable
-        Plain scalar Python. One that is more than assignments and a return stays whole: the first
-        part then hands on the directions.
+        Plain scalar Python. One that is more than assignments and a return, or whose source cannot
+        be read, stays whole: the first part then hands on the directions.
 
     Returns
     -------
@@ -60,20 +60,26 @@ def split(kernel: Callable[..., Any]) -> Split:
     >>> parts.shape(1.4, 0.5) == _example(0.3, 0, 0.8, -0.3, 0, 0.6, 0.5)
     True
     """
-    plain = inspect.unwrap(kernel)
-    assert isinstance(plain, FunctionType)
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(plain))).body
-    assert isinstance(definition, ast.FunctionDef)
-    names = [argument.arg for argument in definition.args.args]
+    function = plain(kernel)
+    node = definition(function)
+    if node is None or function.__closure__ or function.__defaults__:
+        return _whole(function)
+    names = [argument.arg for argument in node.args.args]
     parts = _Parts(names[:DIRECTIONS], names[DIRECTIONS:])
-    body = definition.body[1:] if ast.get_docstring(definition) is not None else definition.body
+    body = node.body[1:] if ast.get_docstring(node) is not None else node.body
     if not all(map(parts.add, body)) or not 0 < len(parts.kept) <= MOST:
-        whole = _Parts(names[:DIRECTIONS], [])
-        whole.kept = names[:DIRECTIONS]
-        return Split(_function(whole.geometry(), plain, "geometry"), plain, DIRECTIONS)
-    geometry = _function(parts.geometry(), plain, "geometry")
-    shape = _function(parts.shape(), plain, "shape")
+        return _whole(function)
+    geometry = _function(parts.geometry(), function, "geometry")
+    shape = _function(parts.shape(), function, "shape")
     return Split(geometry, shape, len(parts.kept))
+
+
+def _whole(function: FunctionType) -> Split:
+    """A kernel that stays whole: the first part hands on the directions."""
+    names = list(function.__code__.co_varnames[:DIRECTIONS])
+    whole = _Parts(names, [])
+    whole.kept = names
+    return Split(_function(whole.geometry(), function, "geometry"), function, DIRECTIONS)
 
 
 class _Parts(ast.NodeTransformer):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from gonio.kernels.build import generated_module
+from gonio.kernels.generated import generated_module
 
 # A sum over SIMD lanes is another order of additions, which only these flags allow. The order is
 # that of the machine code, the same for every number of threads.

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray
-from gonio.kernels.build import generated_module
+from gonio.kernels.generated import generated_module
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.sampling import Lobe, Named
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from gonio.cache import folder as cache_folder
 from gonio.geometry import FloatArray
 from gonio.kernels import map_blocks
-from gonio.kernels.build import compiled
+from gonio.kernels.scalar import compiled
 from gonio.models import _vcavity, torrance_sparrow
 from gonio.models._vcavity import _SLOPE, _pair, _ring, gaussian
 from gonio.models.torrance_sparrow import slope_norm

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gonio.errors import ConfigurationError
 from gonio.geometry import HORIZON, FloatArray, unit_vectors
-from gonio.kernels.build import compiled
+from gonio.kernels.scalar import compiled
 
 ORDERS = ("direct", "second", "higher")
 

@@ -65,6 +65,9 @@ ALLOWED = {
     "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels"},
     "planning": SURFACE
     | {"session", "metadata", "instrument", "simulation", "calibration", "fitting"},
+    # Samples from anywhere, and true parameters: both ask the session, which no fit sees.
+    "reading": FOUNDATION | {"samples", "session", "calibration", "formats"},
+    "recovery": SURFACE | {"session", "fitting"},
     "formats": FOUNDATION | {"samples", "shared_term"},
     "rendering": SURFACE,
     "plotting": ALL,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +11,13 @@ import rich_click as click
 from gonio.cli import explain, posteriors
 from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
-from gonio.errors import ConfigurationError, DataError
+from gonio.cli.tables import parameter_row, table, terminal_width
+from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from gonio.fitting.result import Estimate, FitResult
+    from gonio.fitting.result import FitResult
     from gonio.models import Model
     from gonio.samples import BRDFSamples
 
@@ -122,6 +122,7 @@ def command(
     from gonio.fitting.fit import fit
     from gonio.fitting.problem.nuisance_names import parse_names
     from gonio.models import get
+    from gonio.recovery import true_parameters
 
     model = get(model_name)
     start = _starts(model, starts) if starts else None
@@ -168,7 +169,7 @@ def command(
             result = run(callback)
     else:
         result = run()
-    true = joint.true_parameters(result, known) if result.parts else known[0]
+    true = true_parameters(result, known)
     origin = str(sources[0]) if len(sources) == 1 else [str(source) for source in sources]
     result = joint.with_inputs(result, named)
     result = replace(result, source={**result.source, "input": origin, "truth": true})
@@ -213,69 +214,15 @@ def _truths(
     model: Model,
 ) -> list[dict[str, float] | None]:
     """True parameters of every part, in file units, where the inputs are simulated sessions."""
-    from gonio.fitting.problem.channels import split
+    from gonio.recovery import true_by_part
 
-    found: list[dict[str, float] | None] = []
-    raw = {name: _truth(truth or path, model, asked=truth is not None)
-           for name, path in named.items()}  # fmt: skip
-    for channel in split(inputs):
-        name = channel.material or next(iter(named))
-        values = raw[name]
-        if values is None:
-            found.append(None)
-            continue
-        if any(isinstance(value, list) for value in values.values()):
-            k = _channel_index(truth or named[name], channel.samples)
-            values = {q: v[k] if isinstance(v, list) else v for q, v in values.items()}
-        found.append({q.name: q.to_file(values[q.name]) for q in model.parameters})
-    return found
-
-
-def _truth(session: Path, model: Model, *, asked: bool) -> dict[str, Any] | None:
-    """True parameters as a simulated session of this model holds them; a list is by channel."""
-    from gonio.session import read_truth
-
-    found = read_truth(session) if session.is_dir() else None
-    if found is None:
-        if asked:
-            raise DataError(
-                f"{session}: holds no truth; give a session that 'gonio simulate' wrote.",
-                value=session,
-            )
-        return None
-    if found["model"] != model.name:
+    parts, others = true_by_part(named, inputs, model, session=truth)
+    for other in others:
         click.echo(
-            f"the session was simulated with {found['model']}, not {model.name}: "
-            "no true values are shown.",
+            f"the session was simulated with {other}, not {model.name}: no true values are shown.",
             err=True,
         )
-        return None
-    return {q.name: found["parameters"][q.name] for q in model.parameters}
-
-
-def _channel_index(session: Path, samples: BRDFSamples) -> int:
-    """Which channel of a simulated session the samples are of, by name or else by wavelength."""
-    from gonio.session import Session
-
-    channels = Session.open(session).metadata.plan.channels
-    listed: list[Any] = [channel.name for channel in channels]
-    own: Any = None
-    of = "of no stated channel"
-    if samples.channel is not None:
-        own = str(samples.channel[0])
-        of = f"of channel {own}"
-    elif samples.wavelength_nm is not None:
-        listed = [channel.wavelength_nm for channel in channels]
-        own = float(samples.wavelength_nm[0])
-        of = f"of {own:g} nm"
-    if listed.count(own) == 1:
-        return listed.index(own)
-    names = ", ".join(channel.name for channel in channels)
-    raise ConfigurationError(
-        f"{session}: its true parameters differ between the channels {names}, and the samples are "
-        f"{of}; give samples of one of these channels, or a session of their own.",
-        value=own,
-    )
+    return parts
 
 
 def _tell(
@@ -297,7 +244,7 @@ def _tell(
     )
     click.echo(f"loss: {result.loss}; engine: {result.engine}")
     # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
-    console = Console(width=max(80, _terminal_width()), highlight=False, markup=False)
+    console = Console(width=max(80, terminal_width()), highlight=False, markup=False)
     if result.parts:
         from gonio.cli import joint
 
@@ -327,52 +274,9 @@ def _tell(
 
 def _show(result: FitResult, truth: dict[str, float] | None, console: Console) -> None:
     """One row a parameter."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("parameter")
-    for heading in ("value", "std. unc.", "95 % interval"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    if truth is not None:
-        for heading in ("true", "error"):
-            table.add_column(heading, justify="right", no_wrap=True)
+    headings = ["value", "std. unc.", "95 % interval"]
+    headings += ["true", "error"] if truth is not None else []
+    shown = table("parameter", *headings, fold=True)
     for name, estimate in result.parameters.items():
-        table.add_row(*parameter_row(name, estimate, None if truth is None else truth[name]))
-    console.print(table)
-
-
-def parameter_row(name: str, estimate: Estimate, true: float | None) -> list[str]:
-    """Cells of one parameter: value, standard uncertainty, interval, and true value and error."""
-    estimate = estimate.in_file_units()
-    unit = f" {estimate.unit}" if estimate.unit else ""
-    digits = _decimals(estimate)
-    interval = "unknown"
-    if estimate.interval_95 is not None:
-        low, high = estimate.interval_95
-        interval = f"{low:.{digits}f} .. {high:.{digits}f}"
-    stderr = "at bound" if estimate.at_bound else "none"
-    if estimate.stderr is not None:
-        stderr = f"{estimate.stderr:.{digits}f}"
-    row = [name + (f" [{estimate.unit}]" if unit else ""), f"{estimate.value:.{digits}f}", stderr,
-           interval]  # fmt: skip
-    if true is not None:
-        error = f"{100 * (estimate.value / true - 1):+.2f} %" if true else ""
-        row += [f"{true:g}", error]
-    return row
-
-
-def _decimals(estimate: Estimate) -> int:
-    """Decimals that show two digits of the standard uncertainty."""
-    u = estimate.stderr
-    if not u and estimate.interval_95 is not None:
-        u = (estimate.interval_95[1] - estimate.interval_95[0]) / 4
-    if not u:
-        return 4
-    return min(max(1 - math.floor(math.log10(u)), 0), 9)
-
-
-def _terminal_width() -> int:
-    import shutil
-
-    return shutil.get_terminal_size((80, 24)).columns
+        shown.add_row(*parameter_row(name, estimate, None if truth is None else truth[name]))
+    console.print(shown)

@@ -1,4 +1,4 @@
-"""A joint fit on the command line: its inputs, its true parameters, its tables, its parts."""
+"""A joint fit on the command line: its inputs, its tables, its parts."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import rich_click as click
 
 from gonio.cli.measured import pairs
+from gonio.cli.tables import parameter_row, table
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from gonio.fitting.result import Estimate, FitResult, PartFit
     from gonio.models import Model
@@ -79,39 +79,6 @@ def with_inputs(result: FitResult, named: Mapping[str, Path]) -> FitResult:
     return replace(result, parts=tuple(parts))
 
 
-def chosen_part(result: FitResult, source: Path, select: Mapping[str, str]) -> PartFit | None:
-    """The part of a joint fit that --select names, or None where it leaves several.
-
-    Raises
-    ------
-    ConfigurationError
-        If no part is left, or the fit is not a joint one and something was selected.
-    """
-    if not result.parts:
-        if select:
-            raise ConfigurationError(
-                f"{source}: is a fit of one BRDF, of which nothing can be selected; leave --select "
-                "out.",
-                value=dict(select),
-            )
-        return None
-    for key in select:
-        if key not in ("channel", "wavelength", "part"):
-            raise ConfigurationError(
-                f"--select {key}: of a joint fit wavelength, channel or part can be selected.",
-                value=key,
-            )
-    left = [part for part in result.parts if all(_is(part, k, v) for k, v in select.items())]
-    if not left:
-        wanted = ", ".join(f"{key}={value}" for key, value in select.items())
-        raise ConfigurationError(
-            f"{source}: no part of the fit is {wanted}; its parts are "
-            f"{', '.join(part.name for part in result.parts)}.",
-            value=dict(select),
-        )
-    return left[0] if len(left) == 1 else None
-
-
 def part_chooser(
     source: Path, selections: tuple[str, ...], *, middle: bool = False
 ) -> Callable[[FitResult], FitResult]:
@@ -130,7 +97,7 @@ def part_chooser(
     select = pairs(selections)
 
     def choose(fit: FitResult) -> FitResult:
-        part = chosen_part(fit, source, select)
+        part = _chosen(fit, source, select)
         if not fit.parts:
             return fit
         if part is None and middle and not select:
@@ -148,16 +115,17 @@ def part_chooser(
     return choose
 
 
-def _is(part: PartFit, key: str, wanted: str) -> bool:
-    if key == "part":
-        return part.name == wanted
-    known = part.select.get(key)
-    if known is None or key == "channel":
-        return known == wanted
+def _chosen(fit: FitResult, source: Path, select: Mapping[str, str]) -> PartFit | None:
+    """The part that is selected, with the name of the option in the messages."""
+    from gonio.fitting.part_choice import choose_part
+
     try:
-        return math.isclose(float(known), float(wanted), abs_tol=1e-6)
-    except ValueError:
-        return False
+        return choose_part(fit, select, where=str(source))
+    except ConfigurationError as error:
+        text = str(error).replace("the selection", "--select")
+        if text.startswith("selection "):
+            text = f"--select {text.removeprefix('selection ')}"
+        raise ConfigurationError(text, value=error.value) from None
 
 
 def how_to_choose(part: PartFit) -> str:
@@ -179,30 +147,19 @@ def show(result: FitResult, truth: Mapping[str, float] | None, console: Console)
     shared = [name for name in result.parameters if all(
         name in part.parameters.values() for part in result.parts)]  # fmt: skip
     if shared:
-        table = _table("shared", "value", "std. unc.", "95 % interval", *_known(truth, shared))
+        shown = table("shared", "value", "std. unc.", "95 % interval", *_known(truth, shared))
         for name in shared:
-            table.add_row(*_shared_row(name, result.parameters[name], truth, shared))
-        console.print(table)
+            shown.add_row(*_shared_row(name, result.parameters[name], truth, shared))
+        console.print(shown)
     columns = [_part_column(result), *_own_columns(result, own - set(shared), truth)]
     if result.weights == "sd":
         columns.append(["chi2/dof", *(f"{p.chi2 / p.dof:#.3g}" for p in result.parts)])
     for some in _chunks(columns, console.width):
-        table = _table(*(column[0] for column in some))
+        shown = table(*(column[0] for column in some))
         for row in zip(*(column[1:] for column in some), strict=True):
-            table.add_row(*row)
-        console.print(table)
+            shown.add_row(*row)
+        console.print(shown)
     click.echo(_verdict(result))
-
-
-def _table(first: str, *others: str) -> Table:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column(first, no_wrap=True)
-    for heading in others:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
 
 
 def _known(truth: Mapping[str, float], names: Sequence[str]) -> Cell:
@@ -212,8 +169,6 @@ def _known(truth: Mapping[str, float], names: Sequence[str]) -> Cell:
 def _shared_row(
     name: str, estimate: Estimate, truth: Mapping[str, float], shared: Sequence[str]
 ) -> Cell:
-    from gonio.cli.fit import parameter_row
-
     row = parameter_row(name, estimate, None)
     if _known(truth, shared):
         row.append(f"{truth[name]:g}" if name in truth else "")
@@ -293,14 +248,3 @@ def _verdict(result: FitResult) -> str:
         f"sharing: {found}; chi2 grows by {test.growth:.4g} over separate fits, "
         f"{test.dof} expected (p {chance if test.p_value <= 1e-15 else '= ' + chance})"
     )
-
-
-def true_parameters(
-    result: FitResult, by_part: Sequence[Mapping[str, Any] | None]
-) -> dict[str, float] | None:
-    """True values by the fit's names from those of each part, where the parts agree on them."""
-    found: dict[str, set[float]] = {}
-    for part, known in zip(result.parts, by_part, strict=True):
-        for q, value in (known or {}).items():
-            found.setdefault(part.parameters[q], set()).add(value)
-    return {name: values.pop() for name, values in found.items() if len(values) == 1} or None

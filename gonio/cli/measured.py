@@ -128,34 +128,25 @@ def pairs(selections: tuple[str, ...]) -> dict[str, str]:
 
 def read_source(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
     """Samples from a session folder or from a file, the selected ones (see `pairs`)."""
-    import gonio.formats as formats
+    from gonio.cli.progress import stages
+    from gonio.reading import load
 
-    if not source.is_dir():
-        return formats.read(source, select=select)
-    from gonio.calibration.reduction.reduce import reduce
-    from gonio.cli.progress import progress
-    from gonio.session import Session
-
-    session = Session.open(source)
-    session.require_complete()
-    with progress(f"reducing {source.name or source}", "images") as callback:
-        samples = reduce(session, threads=threads, progress=callback)
-    return formats.choose(samples, select) if select else samples
+    with stages() as callback:
+        return load(source, select=select, threads=threads, progress=callback)
 
 
 def _require_one_channel(source: Path, samples: BRDFSamples, hint: str) -> None:
     """One BRDF at a time: refuse samples of several wavelengths or channels."""
-    for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
-        if column is None:
-            continue
-        values = sorted(set(column.tolist()))
-        if len(values) > 1:
-            shown = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values[:40])
-            raise ConfigurationError(
-                f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
-                f"of {shown}.{hint}",
-                value=values,
-            )
+    from gonio.reading import several
+
+    found = several(samples)
+    if found is not None:
+        key, values = found
+        raise ConfigurationError(
+            f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
+            f"of {', '.join(values[:40])}.{hint}",
+            value=values,
+        )
 
 
 def cuts_told(cuts: Mapping[str, Any]) -> str:

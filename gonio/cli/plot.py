@@ -185,15 +185,12 @@ def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
 
 def _measured(path: Path, select: Mapping[str, str]) -> tuple[BRDFSamples, Session | None]:
     """Samples from a file or a session, and the session where it is there."""
-    import gonio.formats as formats
-    from gonio.session import Session
+    from gonio.cli.progress import stages
+    from gonio.reading import load_with_session
 
-    if path.is_dir():
-        session = Session.open(path)
-        session.require_complete()
-        return formats.choose(_reduced(session), select), session
-    samples = formats.read(path, select=select)
-    return samples, _session(path, samples)
+    with stages() as callback:
+        samples, session = load_with_session(path, select, progress=callback)
+    return samples, session or _session(path, samples)
 
 
 def _reduced(session: Session) -> BRDFSamples:

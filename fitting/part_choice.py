@@ -1,0 +1,64 @@
+"""One part of a joint fit by its wavelength, channel or name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from gonio.errors import ConfigurationError
+from gonio.fitting.result import FitResult, PartFit
+
+
+def choose_part(
+    result: FitResult, select: Mapping[str, str], *, where: str = "the fit"
+) -> PartFit | None:
+    """The part of a joint fit that a selection leaves, or None where it leaves several.
+
+    Parameters
+    ----------
+    result : FitResult
+    select : mapping of str to str
+        ``{"wavelength": "650"}``, ``{"channel": "red"}`` or ``{"part": "650 nm"}``.
+    where : str
+        What the messages call the fit.
+
+    Raises
+    ------
+    ConfigurationError
+        If no part is left, or the fit is not a joint one and something was selected.
+    """
+    if not result.parts:
+        if select:
+            raise ConfigurationError(
+                f"{where}: is a fit of one BRDF, of which nothing can be selected; leave the "
+                "selection out.",
+                value=dict(select),
+            )
+        return None
+    for key in select:
+        if key not in ("channel", "wavelength", "part"):
+            raise ConfigurationError(
+                f"selection {key}: of a joint fit wavelength, channel or part can be selected.",
+                value=key,
+            )
+    left = [part for part in result.parts if all(_is(part, k, v) for k, v in select.items())]
+    if not left:
+        wanted = ", ".join(f"{key}={value}" for key, value in select.items())
+        raise ConfigurationError(
+            f"{where}: no part of the fit is {wanted}; its parts are "
+            f"{', '.join(part.name for part in result.parts)}.",
+            value=dict(select),
+        )
+    return left[0] if len(left) == 1 else None
+
+
+def _is(part: PartFit, key: str, wanted: str) -> bool:
+    if key == "part":
+        return part.name == wanted
+    own = part.select.get(key)
+    if own is None or key == "channel":
+        return own == wanted
+    try:
+        return math.isclose(float(own), float(wanted), abs_tol=1e-6)
+    except ValueError:
+        return False

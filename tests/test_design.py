@@ -17,7 +17,6 @@ from gonio.geometry import Directions
 from gonio.instrument import preset
 from gonio.metadata import Plan
 from gonio.planning.criteria import c_optimality, d_optimality
-from gonio.planning.error_terms import AVERAGED
 from gonio.planning.exchange import choose
 from gonio.planning.information import Candidates, Design
 from gonio.planning.virtual_session import coarse
@@ -44,7 +43,7 @@ def measured(*, lamp=0.01, standard=0.005, n_incidences=3, n_rotations=2, refere
     shared = (
         SharedTerm("standard", "s", standard),
         SharedTerm("lamp, sample", "l", lamp, image, offset=lamp * 0.01 * np.ones(n)),
-        SharedTerm("lamp, standard", "l", lamp, image // n_rotations),
+        SharedTerm("lamp, standard", "l", lamp, image // n_rotations, averages=True),
     )
     u = 0.05 * f + 0.002
     return BRDFSamples(
@@ -77,7 +76,7 @@ def dense(samples, design, n_rotations=2):
     covariance = np.diag(variance)
     for term in own.shared:
         u = term.relative * f + (0 if term.offset is None else term.offset)
-        if term.name in AVERAGED:
+        if term.averages:
             u = u / np.sqrt(design.repeats)
         group = np.zeros(len(own)) if term.group is None else term.group
         covariance += np.outer(u, u) * (group[:, None] == group)
@@ -92,7 +91,7 @@ def test_information_is_that_of_all_errors_together(design):
     samples = measured()
     jacobian, _, covariance = dense(samples, design)
     expected = jacobian.T @ np.linalg.solve(covariance, jacobian)
-    found = candidates(samples, averaged=AVERAGED).information(design)
+    found = candidates(samples).information(design)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
@@ -101,7 +100,7 @@ def test_a_fit_weighs_by_independent_errors_and_carries_the_others_through(desig
     samples = measured()
     jacobian, variance, covariance = dense(samples, design)
     gain = np.linalg.solve((jacobian.T / variance) @ jacobian, jacobian.T / variance)
-    made = candidates(samples, averaged=AVERAGED)
+    made = candidates(samples)
     expected = made.expected(design)
     np.testing.assert_allclose(expected.u, np.sqrt(np.diag(gain @ covariance @ gain.T)), rtol=1e-6)
     parts = np.sqrt(sum(u**2 for u in expected.components.values()))
@@ -138,7 +137,7 @@ def test_without_shared_errors_information_adds_over_images():
     ],
 )
 def test_more_images_never_lower_the_information(reference, chain):
-    made = candidates(measured(reference=reference), averaged=AVERAGED)
+    made = candidates(measured(reference=reference))
     found = [made.information(design) for design in chain]
     for fewer, more in itertools.pairwise(found):
         scale = 1 / np.sqrt(np.diag(more))

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gonio.calibration.effects.dome_slope import DRAWN, EFFECT
 from gonio.geometry import FloatArray, unit_vectors
 from gonio.instrument import Instrument
 from gonio.instrument.imaging import trace_rays
-from gonio.planning.error_terms import DOME
 from gonio.samples import BRDFSamples
-from gonio.shared_term import SharedTerm
 
 N_DOMES = 32  # their scatter is known to 1/sqrt(2 32) = 12 %
 
@@ -21,7 +20,7 @@ N_DOMES = 32  # their scatter is known to 1/sqrt(2 32) = 12 %
 class DrawnDomes:
     """Slope errors of `N_DOMES` drawn domes: by how much each turns the directions of pixels.
 
-    The reduction knows a size and a correlation length, and makes three patterns of them: enough
+    The reduction knows a size and a correlation length, and makes a few patterns of them: enough
     for a plan that somebody made, not for one that was made to be blind to these very patterns.
 
     Parameters
@@ -61,6 +60,6 @@ class DrawnDomes:
         for shift in self.shifts:
             x, y, z = shift[nearest].T / np.sqrt(len(self.shifts))
             turned = np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1)
-            terms.append(SharedTerm(DOME, "slope errors of the dome", shift=turned))
-        others = tuple(term for term in samples.shared if not term.name.startswith(DOME))
+            terms.append(DRAWN.shared(shift=turned, effect=EFFECT.key))
+        others = tuple(term for term in samples.shared if term.effect != EFFECT.key)
         return replace(samples, shared=(*others, *terms))

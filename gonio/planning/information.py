@@ -15,7 +15,6 @@ With 1e5 pixels an image, counts decide next to nothing and the lamp and the sta
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,13 +96,11 @@ class Candidates:
     ----------
     samples : BRDFSamples
         Of every candidate image, number incidence * n_rotations + rotation, with one take of each
-        background and standard.
+        background and standard. Shared errors with `averages` become smaller with more takes.
     model : Model
     p : ndarray, shape (P,)
         Parameters about which the plan is made.
     n_incidences, n_rotations : int
-    averaged : collection of str
-        Names of shared errors that average down over takes of background and standard.
     threads : int, optional
         The result does not depend on it.
     """
@@ -116,14 +113,13 @@ class Candidates:
         *,
         n_incidences: int,
         n_rotations: int,
-        averaged: Collection[str] = (),
         threads: int | None = None,
     ) -> None:
         assert samples.image is not None
         self.model, self.p = model, p
         self.n_incidences, self.n_rotations = n_incidences, n_rotations
         self.terms = tuple(term.name for term in samples.shared)
-        self._averaged = np.array([name in averaged for name in self.terms], dtype=bool)
+        self._averaged = np.array([bool(term.averages) for term in samples.shared], dtype=bool)
         # Counting the reference twice tells it apart.
         problem = Problem.from_samples(replace(samples, reference_sharing=2), model, "sd", threads)
         f, jacobian = problem.jacobian(p)

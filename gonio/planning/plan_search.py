@@ -17,7 +17,6 @@ from gonio.models import Model
 from gonio.models import get as get_model
 from gonio.planning.criteria import Criterion, c_optimality, d_optimality
 from gonio.planning.drawn_domes import N_DOMES, DrawnDomes
-from gonio.planning.error_terms import AVERAGED
 from gonio.planning.exchange import choose
 from gonio.planning.information import Candidates, Design, Expected
 from gonio.planning.result import AS_GOOD, DesignResult
@@ -205,6 +204,7 @@ def _searched(
         determined=determined.tolist(),
         meanings={"independent": "noise of the counts"}
         | {term.name: term.meaning for term in samples.shared},
+        constant=frozenset(term.name for term in samples.shared if term.constant),
     )
 
 
@@ -231,7 +231,6 @@ def _judged(
         setup.p,
         n_incidences=len(plan.theta_i_deg),
         n_rotations=len(plan.rotations_deg),
-        averaged=AVERAGED,
         threads=setup.threads,
     )
     return candidates, samples

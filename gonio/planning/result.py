@@ -38,6 +38,8 @@ class DesignResult:
         Parameters of which some candidate image says something.
     meanings : mapping of str to str
         What the sources of uncertainty are.
+    constant : frozenset of str
+        Sources that are the same in every simulated session: they bias, and do not scatter.
     verification : mapping, optional
         See `gonio.planning.verification.verify`.
     """
@@ -53,6 +55,7 @@ class DesignResult:
     most_helpful: list[tuple[float, float, float] | None]
     determined: list[bool]
     meanings: Mapping[str, str]
+    constant: frozenset[str] = frozenset()
     verification: Mapping[str, Any] | None = None
 
     @property

@@ -10,7 +10,6 @@ import numpy as np
 from gonio.calibration.reduction.reduce import reduce
 from gonio.fitting.fit import fit
 from gonio.metadata import Channel
-from gonio.planning.error_terms import CONSTANT
 from gonio.planning.result import DesignResult
 from gonio.progress import StagedProgress, begin
 
@@ -47,13 +46,11 @@ def verify(
         if callback is not None:
             callback(seed + 1, n_seeds)
     values = np.array(fitted)
-    constant = {*CONSTANT}
-    if setup.instrument.surroundings.multibounce_uncertainty is None:
-        constant.add("multi-bounce")
     rows = []
     for j, q in enumerate(setup.model.parameters):
         known = bool(result.expected.determined[j])
-        parts = {k: u[j] for k, u in result.expected.components.items() if k not in constant}
+        components = result.expected.components
+        parts = {k: u[j] for k, u in components.items() if k not in result.constant}
         predicted = q.to_file(float(np.sqrt(sum(u**2 for u in parts.values())))) if known else None
         scatter = float(values[:, j].std(ddof=1))
         rows.append(

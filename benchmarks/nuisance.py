@@ -43,10 +43,10 @@ from gonio.files import atomic_path
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions, FloatArray, angles, rotated, unit_vectors
 from gonio.instrument import preset
+from gonio.instrument.plans import default_plan
 from gonio.metadata import Plan
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples, SharedTerm
-from gonio.simulation import default_plan
 
 U_STANDARD, U_LAMP, U_AZIMUTH_DEG = 0.02, 0.01, 0.5
 INCIDENCES_DEG = (10.0, 25.0, 40.0, 50.0, 60.0)

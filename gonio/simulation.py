@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,8 @@ from gonio.errors import ConfigurationError
 from gonio.files import write_text
 from gonio.geometry import FloatArray
 from gonio.instrument import Instrument, load
+from gonio.instrument.plans import Values, default_plan, is_anisotropic
+from gonio.instrument.realisation import Realisation
 from gonio.materials import get as get_material
 from gonio.metadata import Plan, Role
 from gonio.models import Model
@@ -29,101 +30,11 @@ if TYPE_CHECKING:
     from gonio.instrument.images import Images, Surface
     from gonio.instrument.truth import TruthImages
 
-N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, section 4.2)
-ANISOTROPIC_ROTATIONS_DEG = (0.0, 45.0, 90.0)
-STANDARD_AT_DEG = 45.0  # in transmission: off the way of light that goes straight through
 MIRROR = "mirror"  # name of the sample in a session for the alignment
-MIRROR_STEP_DEG = 15.0
-WEDGE_ROTATIONS_DEG = tuple(45.0 * k for k in range(8))
 
 _MAX_PENDING = 12  # frames that wait for the disk while the next image is computed
-_SPOT_SHARE = 0.6  # of the counts' range that the brightest pixel of a mirror's image takes
 
 Progress = Callable[[int, int], None]
-Values = float | Sequence[float]
-
-
-def default_plan(instrument: Instrument, *, anisotropic: bool) -> Plan:
-    """21 incidence angles from 0 to the arm's reach; three rotations where phi_i matters."""
-    from gonio.instrument.records import channels
-
-    angles = np.linspace(0, instrument.theta_i_max_deg, N_INCIDENCES)
-    return Plan(
-        theta_i_deg=tuple(float(a) for a in angles),
-        rotations_deg=ANISOTROPIC_ROTATIONS_DEG if anisotropic else (0.0,),
-        exposures_s=instrument.sensor.exposures_s,
-        channels=channels(instrument),
-    )
-
-
-def transmission_plan(
-    instrument: Instrument, *, anisotropic: bool, standard_theta_i_deg: float | None = None
-) -> Plan:
-    """The default plan with the lamp below; the standard is taken once, in reflection."""
-    plan = default_plan(instrument, anisotropic=anisotropic)
-    at = min(STANDARD_AT_DEG, instrument.theta_i_max_deg)
-    given = at if standard_theta_i_deg is None else standard_theta_i_deg
-    return Plan.model_validate(
-        plan.model_dump() | {"mode": "transmission", "standard_theta_i_deg": given}
-    )
-
-
-def mirror_plan(instrument: Instrument, *, wedge_deg: float = 0.0) -> Plan:
-    """What an alignment needs: a mirror, the lamp on both sides, exposures that do not saturate.
-
-    A level mirror shows the lamp in its own plane only; a wedge of some degrees, turned with the
-    holder, spreads the spots over the dome.
-
-    Parameters
-    ----------
-    instrument : Instrument
-    wedge_deg : float
-        Tilt of the mirror's normal, degrees.
-    """
-    from gonio.instrument import imaging, mirror
-    from gonio.instrument.records import channels
-
-    steps = int(instrument.theta_i_max_deg // MIRROR_STEP_DEG)
-    sensor = instrument.sensor
-    # One ray a pixel tells how bright a pixel can be at most.
-    coarse = instrument.model_copy(update={"rays_per_pixel": 1})
-    rate = mirror.brightest_rate(coarse, imaging.trace_rays(coarse, 0))
-    rate *= max(channel.relative_rate for channel in instrument.channels)
-    range_dn = sensor.saturation_dn - sensor.binned_black_dn
-    full_e = min(sensor.binned_full_well_e, range_dn / sensor.binned_gain_dn_per_e)
-    longest = float(f"{_SPOT_SHARE * full_e / rate:.2g}")
-    return Plan(
-        theta_i_deg=tuple(MIRROR_STEP_DEG * k for k in range(-steps, steps + 1)),
-        rotations_deg=WEDGE_ROTATIONS_DEG if wedge_deg else (0.0,),
-        exposures_s=(longest / 4, longest),
-        channels=channels(instrument),
-        mode="mirror",
-        wedge_deg=wedge_deg,
-    )
-
-
-def is_anisotropic(model: Model, parameters: Mapping[str, Values]) -> bool:
-    """Whether turning the surface about its normal changes what it reflects.
-
-    Not where the model claims so, nor where alpha_x = alpha_y.
-
-    Parameters
-    ----------
-    model : Model
-    parameters : mapping
-        All of its parameters, with one value or one a channel.
-
-    Examples
-    --------
-    >>> is_anisotropic(get_model("ward"), {"alpha_x": 0.1, "alpha_y": 0.1})
-    False
-    """
-    if model.claims.isotropic:
-        return False
-    if not {"alpha_x", "alpha_y"} <= set(parameters):
-        return True
-    x, y = (np.atleast_1d(parameters[name]) for name in ("alpha_x", "alpha_y"))
-    return bool(np.any(x != y))
 
 
 def simulate(
@@ -191,11 +102,11 @@ def simulate(
     recipe = _recipe(rig, surface, plan, seed)
     fingerprint = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
     session = Session.create(output, metadata(rig, plan, surface.name, fingerprint))
-    draws = Draws.from_seed(seed, rig, plan)
-    _write_truth(session.path, recipe, surface, rig, plan, draws)
+    realisation = Realisation.from_seed(seed, rig, plan)
+    _write_truth(session.path, recipe, surface, rig, plan, realisation)
     if not session.complete:
         wanted = economical(plan) if truth_images is None else truth_images
-        _record(session, surface, rig, plan, draws, threads, progress, wanted)
+        _record(session, surface, rig, plan, realisation, threads, progress, wanted)
     return session
 
 
@@ -303,58 +214,20 @@ def parameter_vectors(
     )
 
 
-@dataclass(frozen=True)
-class Draws:
-    """What chance decides once: the standard's error and the lamp's output for every image."""
-
-    standard_scale: float
-    lamp: FloatArray  # (images in the plan's order, channels)
-    pattern_seed: int  # the camera's fixed patterns
-    dome_seed: int  # the dome's slope errors and coating
-    noise_seed: int
-    multibounce_scale: float  # the true g over the stated one
-    azimuth: float = 0.0  # turn of the sample that its rotations do not count, radians
-
-    @classmethod
-    def from_seed(cls, seed: int, rig: Instrument, plan: Plan) -> Draws:
-        """Draw them; what further channels and a slow drift need comes last."""
-        n = plan.n_images
-        rng = np.random.default_rng(seed)
-        seeds = rng.integers(0, 2**63, size=3)
-        standard = 1 + rig.standard.uncertainty * rng.standard_normal()
-        drawn = [rng.standard_normal(n) for _ in plan.channels]
-        lamp = 1 + rig.lamp.drift * np.stack(drawn, axis=1)
-        if rig.lamp.slow_drift:
-            # A random walk: the images follow each other in time, a step of the arm apart.
-            wander = np.cumsum(rig.lamp.slow_drift * rng.standard_normal(n))
-            lamp *= np.exp(wander)[:, None]
-        multibounce = 1.0
-        if rig.surroundings.multibounce_uncertainty:
-            multibounce += rig.surroundings.multibounce_uncertainty * rng.standard_normal()
-        azimuth = rig.holder.azimuth_deg
-        if rig.holder.u_azimuth_deg:
-            azimuth += rig.holder.u_azimuth_deg * rng.standard_normal()
-        pattern, dome, noise = (int(s) for s in seeds)
-        return cls(
-            float(standard), lamp, pattern, dome, noise, max(multibounce, 0.0),
-            float(np.radians(azimuth)),
-        )  # fmt: skip
-
-
 def _write_truth(
     path: Path,
     recipe: Mapping[str, Any],
     surface: Surface,
     rig: Instrument,
     plan: Plan,
-    draws: Draws,
+    realisation: Realisation,
 ) -> None:
     from gonio.instrument import imaging
 
     folder = path / "truth"
     folder.mkdir(exist_ok=True)
     entry = {
-        angle: imaging.entry_transmittance(rig, np.radians(angle), draws.dome_seed)
+        angle: imaging.entry_transmittance(rig, np.radians(angle), realisation.dome_seed)
         for role in plan.roles
         for angle in plan.incidences(role)
     }
@@ -362,10 +235,10 @@ def _write_truth(
         "schema": "gonio.truth/1",
         "material": surface.name,
         **recipe,
-        "standard_scale": draws.standard_scale,
-        "multibounce_scale": draws.multibounce_scale,
-        "azimuth_deg": float(np.degrees(draws.azimuth)),
-        "lamp": draws.lamp.ravel().tolist(),  # channels of an image stand together
+        "standard_scale": realisation.standard_scale,
+        "multibounce_scale": realisation.multibounce_scale,
+        "azimuth_deg": float(np.degrees(realisation.azimuth)),
+        "lamp": realisation.lamp.ravel().tolist(),  # channels of an image stand together
         "entry_transmittance": [{"theta_i_deg": a, "relative": t} for a, t in entry.items()],
     }
     write_text(folder / "truth.json", json.dumps(truth, indent=1) + "\n")
@@ -376,7 +249,7 @@ def _record(
     surface: Surface,
     rig: Instrument,
     plan: Plan,
-    draws: Draws,
+    realisation: Realisation,
     threads: int | None,
     progress: Progress | None,
     truth_images: bool,
@@ -385,9 +258,12 @@ def _record(
     from gonio.instrument.images import Fixed, Images
 
     fixed = Fixed(
-        draws.dome_seed, draws.pattern_seed, draws.standard_scale, draws.multibounce_scale,
-        draws.azimuth,
-    )  # fmt: skip
+        realisation.dome_seed,
+        realisation.pattern_seed,
+        realisation.standard_scale,
+        realisation.multibounce_scale,
+        realisation.azimuth,
+    )
     images = Images(rig, surface, plan, fixed, threads=threads)
     truth = _truth_images(session, images) if truth_images else None
     writer = ThreadPoolExecutor(1)
@@ -399,7 +275,7 @@ def _record(
             progress(session.n_done, plan.n_frames)
 
     try:
-        for write in _frames(session, images, draws, truth):
+        for write in _frames(session, images, realisation, truth):
             # Frames are written while later ones are exposed; the order stays the plan's.
             pending.append(writer.submit(write))
             if len(pending) > _MAX_PENDING:
@@ -419,19 +295,19 @@ def _truth_images(session: Session, images: Images) -> TruthImages:
 
 
 def _frames(
-    session: Session, images: Images, draws: Draws, truth: TruthImages | None
+    session: Session, images: Images, realisation: Realisation, truth: TruthImages | None
 ) -> Iterator[Callable[[], None]]:
     """What writes each frame that the session lacks, exposed already."""
     from gonio.instrument.noise import expose
 
     plan, sensor = images.plan, images.instrument.sensor
     n_exposures, n_channels = len(plan.exposures_s), len(plan.channels)
-    dark = sensor.dark_current(draws.pattern_seed)
-    figures = sensor.figures() | {"seed": draws.noise_seed, "threads": images.threads}
+    dark = sensor.dark_current(realisation.pattern_seed)
+    figures = sensor.figures() | {"seed": realisation.noise_seed, "threads": images.threads}
     for number, image, missing in _missing(session, plan):
         if truth is not None and image[0] == "sample":
             truth.write_brdf(*image[1:])
-        rates = images.rates(*image, draws.lamp[number])
+        rates = images.rates(*image, realisation.lamp[number])
         for channel, k in missing:
             frame = expose(
                 rates[channel] + dark,

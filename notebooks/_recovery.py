@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 
 import gonio
 from gonio.instrument import preset
+from gonio.instrument.plans import default_plan, is_anisotropic
 from gonio.materials import get as get_material
 from gonio.materials import names
 from gonio.metadata import Plan
 from gonio.models import get as get_model
 from gonio.plotting import style
 from gonio.plotting.style import COLOURS, symbol
-from gonio.simulation import default_plan, is_anisotropic
 
 # What may be left at most: the lobe's bias (eq. (3) on a sphere, slope errors of the dome, blur) as
 # docs/accuracy.md finds it, and for what scales with the standard three of its uncertainties.

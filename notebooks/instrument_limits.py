@@ -26,10 +26,10 @@ from _common import Notebook
 import gonio
 from gonio.calibration.budget import budget
 from gonio.instrument import preset
+from gonio.instrument.plans import default_plan
 from gonio.instrument.resolution import report, resolve
 from gonio.metadata import Plan
 from gonio.plotting import resolution_map, style
-from gonio.simulation import default_plan
 
 nb = Notebook("instrument_limits", paper="Ward 1992")
 INSTRUMENTS = ("lbl1992", "modern12")

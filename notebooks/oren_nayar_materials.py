@@ -35,12 +35,12 @@ import gonio
 from gonio import models
 from gonio.geometry import Directions
 from gonio.instrument import preset
+from gonio.instrument.plans import default_plan
 from gonio.materials import get as get_material
 from gonio.metadata import Plan
 from gonio.plotting import style
 from gonio.plotting.lobe import in_plane
 from gonio.plotting.style import COLOURS, GREY
-from gonio.simulation import default_plan
 
 nb = Notebook("oren_nayar_materials", paper="Oren and Nayar 1994")
 SAMPLES = {

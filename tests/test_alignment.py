@@ -18,9 +18,9 @@ from gonio.cli.calibrate_alignment import command
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import unit_vectors
 from gonio.instrument import Instrument, preset
+from gonio.instrument.plans import mirror_plan
 from gonio.metadata import Camera, Geometry, LensCalibration, Limits, Plan, Uncertain
 from gonio.session import Session
-from gonio.simulation import mirror_plan
 
 R, D = 150.0, 15.0
 NOISE = 0.003  # px, what frames of 0.44 deg a pixel give

@@ -10,6 +10,8 @@ from gonio.instrument import Filter, Holder, Instrument, Lamp, Sensor, imaging, 
 from gonio.instrument.holder import tilted
 from gonio.instrument.images import Fixed, Images, Surface
 from gonio.instrument.noise import expose
+from gonio.instrument.plans import is_anisotropic
+from gonio.instrument.realisation import Realisation
 from gonio.instrument.records import irradiance_uncertainty, metadata
 from gonio.metadata import Plan
 
@@ -500,7 +502,7 @@ class TestDrift:
         planned = planned or plan(tuple(np.linspace(0, 70, 60)), repeats=20)
         if channels:
             planned = planned.model_copy(update={"channels": channels})
-        return simulation.Draws.from_seed(3, rig, planned)
+        return Realisation.from_seed(3, rig, planned)
 
     def test_of_images_is_white_and_a_slow_one_walks(self):
         n = 2 * 20 * 60 + 60
@@ -564,8 +566,8 @@ class TestChannels:
 
     def test_surfaces_that_look_alike_in_red_only_are_turned_too(self):
         values = {"alpha_x": (0.1, 0.2), "alpha_y": 0.1}
-        assert simulation.is_anisotropic(WARD, values)
-        assert not simulation.is_anisotropic(WARD, values | {"alpha_y": (0.1, 0.2)})
+        assert is_anisotropic(WARD, values)
+        assert not is_anisotropic(WARD, values | {"alpha_y": (0.1, 0.2)})
 
 
 class TestTransmission:

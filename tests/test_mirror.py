@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import gonio
-from gonio import simulation
 from gonio.calibration.reflector import solid_angle_ratio
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import unit_vectors
 from gonio.instrument import Instrument, imaging, mirror, preset
+from gonio.instrument.plans import mirror_plan
 from gonio.metadata import Plan
 from gonio.session import Session, read_truth
 
@@ -148,7 +148,7 @@ class TestSpot:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     rig = small("modern12", n=104, lamp={"half_angle_deg": 1.5})
-    plan = simulation.mirror_plan(rig, wedge_deg=10.0)
+    plan = mirror_plan(rig, wedge_deg=10.0)
     fewer = {"theta_i_deg": (-75.0, -30.0, 0.0, 45.0), "rotations_deg": (0.0, 90.0, 225.0)}
     path = tmp_path_factory.mktemp("mirror") / "mirror.gonio"
     return gonio.simulate(output=path, instrument=rig, plan=plan.model_copy(update=fewer), seed=3)
@@ -188,10 +188,10 @@ class TestSession:
 
     def test_the_default_covers_the_dome(self):
         rig = small(lamp={"half_angle_deg": 0.5})
-        plan = simulation.mirror_plan(rig, wedge_deg=10.0)
+        plan = mirror_plan(rig, wedge_deg=10.0)
         assert plan.theta_i_deg == tuple(range(-75, 90, 15))
         assert plan.rotations_deg == tuple(range(0, 360, 45))
-        plan = simulation.mirror_plan(rig)
+        plan = mirror_plan(rig)
         assert plan.rotations_deg == (0.0,)
         assert plan.exposures_s[1] == pytest.approx(4 * plan.exposures_s[0])
 
@@ -218,7 +218,7 @@ class TestSession:
 
     def test_takes_no_material(self, tmp_path):
         rig = small(n=16, lamp={"half_angle_deg": 0.5})
-        plan = simulation.mirror_plan(rig)
+        plan = mirror_plan(rig)
         with pytest.raises(
             ConfigurationError, match="plan is one for a mirror; give neither a mat"
         ):

@@ -22,9 +22,9 @@ from gonio.fitting.result import FitResult, NuisanceEstimate
 from gonio.fitting.uncertainty.nuisance import PULL, pull_warnings
 from gonio.geometry import Directions, angles, rotated, unit_vectors
 from gonio.instrument.images import Fixed, Images
+from gonio.instrument.realisation import Realisation
 from gonio.metadata import Limits, Plan
 from gonio.samples import BRDFSamples, Cells, SharedTerm
-from gonio.simulation import Draws
 
 BRUSHED = {"rho_d": 0.1, "rho_s": 0.05, "alpha_x": 0.04, "alpha_y": 0.11}
 TRUE = np.array(list(BRUSHED.values()))
@@ -589,16 +589,16 @@ def test_the_simulated_sample_lies_turned():
 def test_the_azimuths_error_is_drawn_and_disturbs_no_other_draw():
     plan = Plan(theta_i_deg=(40.0,), rotations_deg=(10.0,), exposures_s=(0.01,))
     known, unsure = small("modern12"), small("modern12", holder={"u_azimuth_deg": 0.5})
-    drawn = [Draws.from_seed(k, unsure, plan) for k in range(300)]
+    drawn = [Realisation.from_seed(k, unsure, plan) for k in range(300)]
     offsets = np.degrees([d.azimuth for d in drawn])
     assert np.std(offsets) == pytest.approx(0.5, rel=0.15)
     assert abs(np.mean(offsets)) < 0.1
-    before = Draws.from_seed(7, known, plan)
+    before = Realisation.from_seed(7, known, plan)
     assert before.azimuth == 0
     np.testing.assert_array_equal(before.lamp, drawn[7].lamp)
     assert replace(drawn[7], azimuth=0.0, lamp=None) == replace(before, lamp=None)
     given = small("modern12", holder={"azimuth_deg": 2.0})
-    assert Draws.from_seed(7, given, plan).azimuth == pytest.approx(np.radians(2.0))
+    assert Realisation.from_seed(7, given, plan).azimuth == pytest.approx(np.radians(2.0))
 
 
 # --------------------------------------------------------------------------- command line

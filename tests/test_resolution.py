@@ -15,6 +15,7 @@ from gonio.cli import instruments as command
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import unit_vectors
 from gonio.instrument import imaging, preset
+from gonio.instrument.plans import default_plan
 from gonio.instrument.resolution import (
     EXCESS,
     WHOLE,
@@ -26,7 +27,7 @@ from gonio.instrument.resolution import (
     resolve,
     smallest_alpha,
 )
-from gonio.simulation import default_plan, simulate
+from gonio.simulation import simulate
 
 QUICK = {"rays": 16, "step_deg": 1.5}
 

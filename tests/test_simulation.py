@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 import gonio
-from gonio import models, simulation
+from gonio import models
 from gonio.errors import ConfigurationError
 from gonio.geometry import Directions, angles
 from gonio.instrument import Instrument, imaging, preset
+from gonio.instrument.plans import default_plan
+from gonio.instrument.realisation import Realisation
 from gonio.metadata import Plan
 from gonio.session import Session, open_truth_images, read_truth
 
@@ -368,7 +370,7 @@ class TestTruthImages:
 
     def test_f_is_that_of_the_direction_which_the_pixel_sees(self, session):
         rig = Instrument.model_validate(read_truth(session.path)["instrument"])
-        draws = simulation.Draws.from_seed(1, rig, session.metadata.plan)
+        draws = Realisation.from_seed(1, rig, session.metadata.plan)
         rays = imaging.trace_rays(rig, draws.dome_seed)
         w_r = rays.w_r.mean(axis=1)
         w_r /= np.linalg.norm(w_r, axis=1, keepdims=True)
@@ -386,7 +388,7 @@ class TestTruthImages:
 
     def test_maps_are_those_of_the_instrument(self, session):
         rig = Instrument.model_validate(read_truth(session.path)["instrument"])
-        draws = simulation.Draws.from_seed(1, rig, session.metadata.plan)
+        draws = Realisation.from_seed(1, rig, session.metadata.plan)
         images = open_truth_images(session.path)
         dead, hot = rig.sensor.bad_pixels(draws.pattern_seed)
         np.testing.assert_array_equal(images["dead_pixels"][:], dead)
@@ -433,14 +435,14 @@ class TestTruthImages:
 class TestPlan:
     def test_default_has_21_incidences_and_turns_anisotropic_samples(self):
         rig = preset("modern12")
-        plan = simulation.default_plan(rig, anisotropic=True)
+        plan = default_plan(rig, anisotropic=True)
         assert plan.theta_i_deg[0] == 0
         assert plan.theta_i_deg[-1] == rig.theta_i_max_deg == 75
         assert len(plan.theta_i_deg) == 21
         assert plan.rotations_deg == (0.0, 45.0, 90.0)
         assert plan.exposures_s == rig.sensor.exposures_s
         assert plan.n_frames == 21 * 6 * (1 + 1 + 3) == 630
-        still = simulation.default_plan(rig, anisotropic=False)
+        still = default_plan(rig, anisotropic=False)
         assert still.rotations_deg == (0.0,)
         assert still.n_frames == 378
 

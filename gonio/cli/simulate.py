@@ -11,10 +11,10 @@ from gonio.errors import ConfigurationError, SessionInterruptedError
 
 if TYPE_CHECKING:
     from gonio.instrument import Instrument
+    from gonio.instrument.plans import Values
     from gonio.metadata import Plan
     from gonio.models import Model
     from gonio.session import Session
-    from gonio.simulation import Values
 
 MAX_WEDGE_DEG = 45.0
 
@@ -245,7 +245,7 @@ def _plan(
     wedge: float | None,
 ) -> Plan:
     """The default plan of what is to be recorded."""
-    from gonio.simulation import default_plan, is_anisotropic, mirror_plan, transmission_plan
+    from gonio.instrument.plans import default_plan, is_anisotropic, mirror_plan, transmission_plan
 
     if wedge is not None and not 0 <= wedge < MAX_WEDGE_DEG:
         raise ConfigurationError(

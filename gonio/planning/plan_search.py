@@ -12,6 +12,7 @@ from gonio.calibration.reduction.reduce import reduce
 from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.geometry import FloatArray
 from gonio.instrument import Instrument, load
+from gonio.instrument.plans import default_plan, is_anisotropic
 from gonio.metadata import Plan
 from gonio.models import Model
 from gonio.models import get as get_model
@@ -30,7 +31,6 @@ from gonio.planning.virtual_session import (
 )
 from gonio.progress import StagedProgress, begin
 from gonio.samples import BRDFSamples
-from gonio.simulation import default_plan, is_anisotropic
 
 ROTATIONS_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)  # for models whose f depends on phi_i
 SMALLEST = 3  # images: one each of sample, standard and background

@@ -14,11 +14,11 @@ from gonio.geometry import FloatArray
 from gonio.instrument import Instrument
 from gonio.instrument.images import Fixed, Images, Surface
 from gonio.instrument.noise import expose
+from gonio.instrument.realisation import Realisation
 from gonio.instrument.records import channels, metadata
 from gonio.metadata import Metadata, Plan, Role
 from gonio.models import Model
 from gonio.session import Session
-from gonio.simulation import Draws
 
 # Pixels across the frame, to which a sensor is binned: the shared errors decide, and they do not
 # depend on how finely the hemisphere is sampled.
@@ -91,19 +91,19 @@ class Setup:
     threads: int | None = None
 
     def session(
-        self, plan: Plan, draws: Draws | None = None, progress: Progress | None = None
+        self, plan: Plan, realisation: Realisation | None = None, progress: Progress | None = None
     ) -> VirtualSession:
-        """Frames of the plan; without draws nothing but noise is left to chance.
+        """Frames of the plan; without a realisation nothing but noise is left to chance.
 
         Parameters
         ----------
         plan : Plan
             Of one channel.
-        draws : Draws, optional
+        realisation : Realisation, optional
         progress : callable, optional
             Called with (images done, images in all).
         """
-        drawn = draws or _no_drift(plan)
+        drawn = realisation or _no_drift(plan)
         surface = Surface(self.model.name, self.model, (self.p,))
         fixed = Fixed(
             drawn.dome_seed, drawn.pattern_seed, drawn.standard_scale, drawn.multibounce_scale
@@ -130,11 +130,11 @@ class Setup:
 
     def drawn(self, plan: Plan, seed: int) -> VirtualSession:
         """A session as `gonio.simulate` draws one from a seed."""
-        return self.session(plan, Draws.from_seed(seed, self.instrument, plan))
+        return self.session(plan, Realisation.from_seed(seed, self.instrument, plan))
 
 
-def _no_drift(plan: Plan) -> Draws:
-    return Draws(1.0, np.ones((plan.n_images, 1)), 1, 2, 3, 1.0)
+def _no_drift(plan: Plan) -> Realisation:
+    return Realisation(1.0, np.ones((plan.n_images, 1)), 1, 2, 3, 1.0)
 
 
 def one_channel(rig: Instrument) -> Instrument:

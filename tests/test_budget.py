@@ -1,6 +1,7 @@
 """The uncertainty budget: what every source does to f, and what is not counted."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -241,6 +242,23 @@ def test_the_table(reduced, capsys):
     assert table["noise, sample"][:3] == ["A", "sample", "offset"]
     assert len(table["combined"]) == 3
     assert "UNKNOWN, not counted: lens calibration (lens.uncertain)." in lines
+
+
+def test_columns_do_not_run_together_with_rotations(reduced, tmp_path, capsys, monkeypatch):
+    samples = BRDFSamples.load(reduced)
+    # As of a session with rotations: a dome's slope errors are those of some incidences.
+    groups = np.arange(len(samples)) % 3
+    term = replace(samples.shared[0], name="dome slope, shear in plane and beyond it", group=groups)
+    turned = replace(samples, shared=(term, *samples.shared))
+    turned.save(tmp_path / "turned.nc")
+    for columns, gap in (("80", " "), ("120", "  ")):
+        monkeypatch.setenv("COLUMNS", columns)
+        _, out, _ = run(capsys, tmp_path / "turned.nc")
+        lines = out.splitlines()
+        assert max(map(len, lines)) <= int(columns)
+        at = next(k for k, line in enumerate(lines) if line.startswith("dome slope, shear in"))
+        assert re.search(rf"B {gap}+incidences{gap}+[a-z]+ {gap}*[\d<]", lines[at])
+        assert lines[at + 1] == "  and beyond it"
 
 
 def test_the_document_and_one_sample(reduced, capsys):

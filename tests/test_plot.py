@@ -23,7 +23,7 @@ from gonio.instrument import Instrument, preset
 from gonio.metadata import Plan
 from gonio.plotting.frames import pixel_of
 from gonio.plotting.lobe import in_plane
-from gonio.plotting.style import COLOURS, DPI
+from gonio.plotting.style import COLOURS, DPI, parse_size
 from gonio.plotting.summary import recovered
 from gonio.samples import BRDFSamples
 from gonio.session import Session
@@ -513,7 +513,7 @@ def test_the_map_of_samples_shows_every_sample_of_its_incidences(samples):
 
 def test_residuals_tell_their_sign_by_shape_and_their_unit(samples, fit):
     axes = plotting.residual_map(samples, fit)
-    assert axes[0].figure.axes[-1].get_ylabel() == "measured − fitted (standard uncertainties)"
+    assert axes[0].figure.axes[-1].get_ylabel() == "measured − fitted (% of the fitted f)"
     for ax in axes:
         up, down = ax.collections
         assert np.all(up.get_array() >= 0)
@@ -522,10 +522,24 @@ def test_residuals_tell_their_sign_by_shape_and_their_unit(samples, fit):
         assert up.get_paths()[0].vertices[0][1] > 0 > down.get_paths()[0].vertices[0][1]
 
 
-def test_residuals_of_the_true_model_are_noise(samples, fit):
-    z = np.concatenate([colours(ax) for ax in plotting.residual_map(samples, fit)])
-    assert abs(z.mean()) < 0.3
-    assert 0.7 < z.std() < 1.5
+def test_residuals_are_per_cent_of_f(samples, fit):
+    more = replace(samples, value=1.02 * samples.value)
+    percent, raised = (
+        np.concatenate([colours(ax) for ax in plotting.residual_map(each, fit)])
+        for each in (samples, more)
+    )
+    # Two per cent more light are two per cent more everywhere. The order is that of the signs.
+    assert raised.mean() - percent.mean() == pytest.approx(2.0, abs=0.1)
+    assert abs(percent.mean()) < 0.5
+
+
+def test_no_per_cent_where_the_model_gives_no_light(samples, fit):
+    black = replace(fit, parameters={
+        name: replace(estimate, value=0.0) if name.startswith("rho") else estimate
+        for name, estimate in fit.parameters.items()
+    })  # fmt: skip
+    axes = plotting.residual_map(samples, black)
+    assert not any(len(part.get_offsets()) for ax in axes for part in ax.collections)
 
 
 def test_another_number_of_axes_is_refused(samples):
@@ -596,3 +610,66 @@ def test_the_solid_is_longest_along_the_mirror_direction(monkeypatch):
     assert "logarithmic" in ax.get_title()
     with pytest.raises(ConfigurationError, match=r"theta_i = 1\.6 rad is not above the horizon"):
         plotting.lobe_solid("ward", theta_i=1.6)
+
+
+# ---------------------------------------------------------------- size and resolution
+
+
+def extent(path: Path) -> tuple[int, int]:
+    return struct.unpack(">II", path.read_bytes()[16:24])
+
+
+def test_a_picture_has_the_size_and_the_dots_that_are_asked_for(samples, tmp_path):
+    figure = plotting.slices(samples).get_figure(root=True)
+    own = tuple(figure.get_size_inches())
+    plotting.save(figure, tmp_path / "a.png", size=(5, 4), dpi=100)
+    plotting.save(figure, tmp_path / "b.png", dpi=50)
+    assert extent(tmp_path / "a.png") == (500, 400)
+    assert extent(tmp_path / "b.png") == tuple(round(50 * edge) for edge in own)
+    assert tuple(figure.get_size_inches()) == own
+    plotting.save(figure, tmp_path / "a.svg", size=(5, 4))
+    assert 'width="360pt" height="288pt"' in (tmp_path / "a.svg").read_text("utf-8")
+    plotting.save(figure, tmp_path / "a.pdf", size=(5, 4))
+    assert b"/MediaBox [ 0 0 360 288 ]" in (tmp_path / "a.pdf").read_bytes()
+
+
+def test_a_picture_without_room_for_its_labels_is_refused(samples, tmp_path):
+    figure = plotting.hemisphere_samples(samples)[0].get_figure(root=True)
+    figure.suptitle("\n" * 400)
+    with pytest.raises(ConfigurationError, match=r"labels leave no room .* at 2 x 60 inches; give"):
+        plotting.save(figure, tmp_path / "a.png", size=(2, 60), dpi=30)
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "inches"),
+    [("6.4x4", (6.4, 4.0)), ("5X4in", (5, 4)), ("254 x 127 mm", (10, 5)), ("25.4x12.7cm", (10, 5))],
+)
+def test_sizes_are_inches_or_have_a_unit(text, inches):
+    assert parse_size(text) == pytest.approx(inches)
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["--size", "7x"], "--size '7x' is not WIDTHxHEIGHT; write it in inches as 6.4x4"),
+        (["--size", "1.2.3x4"], "--size '1.2.3x4' is not WIDTHxHEIGHT"),
+        (["--size", "160x100"], "the size 160 x 100 inches is out of range; each edge is 2 to 60"),
+        (["--size", "10x10mm"], "the size 0.3937 x 0.3937 inches is out of range"),
+        (["--dpi", "9"], "9 dots an inch are out of range; allowed are 30 to 2400"),
+        (["--size", "20x20", "--dpi", "2400"], "are more than 30000 pixels along an edge"),
+    ],
+)
+def test_sizes_that_no_picture_can_have_are_refused(run, fitted, tmp_path, words, match):
+    code, err = run("plot", fitted, "-o", tmp_path / "a.png", *words)
+    assert code == 2
+    assert match in err
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_a_page_is_not_squeezed(run, fitted, tmp_path):
+    code, err = run("plot", fitted, "--size", "160x100mm", "-o", tmp_path / "a.png")
+    assert (code, "the whole page needs 8.5 x " in err) == (2, True)
+    words = ("--kind", "slices", "--size", "160x100mm", "--dpi", "100")
+    assert run("plot", fitted, *words, "-o", tmp_path / "a.png")[0] == 0
+    assert extent(tmp_path / "a.png") == (629, 393)

@@ -20,6 +20,7 @@ from gonio.rendering import (
     Rectangle,
     Scene,
     cross_section,
+    lift_of,
     plate,
     plate_reference,
     prefilter,
@@ -572,6 +573,11 @@ def test_a_png_says_how_it_was_toned(tmp_path):
     read = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, srgb(image, 1.0))
     found = chunks((tmp_path / "a.png").read_bytes())
+    save_picture(image, tmp_path / "a.png", white=1.0, lift=3.0, facts={"scene": "ramp"})
+    read = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(read, srgb(image, 1.0, 3.0))
+    lifted = chunks((tmp_path / "a.png").read_bytes())["tEXt"]
+    assert any(b"dark values are lifted, ln(1 + 3 v) with v = L/white;" in t for t in lifted)
     assert set(found) == {"IHDR", "sRGB", "tEXt", "IDAT", "IEND"}
     text = dict(entry.split(b"\0", 1) for entry in found["tEXt"])
     assert text[b"Description"] == (
@@ -587,6 +593,38 @@ def test_the_curve_is_srgb():
     with pytest.raises(ConfigurationError, match="white = 0: the radiance that is shown as white"):
         srgb(np.ones(1), 0.0)
     assert white_of(np.zeros((2, 2))) == 1.0
+
+
+def test_a_highlight_does_not_leave_the_rest_black():
+    matt = np.linspace(0.3, 1.0, 400).reshape(20, 20)
+    assert lift_of(matt, white_of(matt)) == 0  # nothing outshines it: the scale stays linear
+    metal = matt / 40
+    metal[9:11, 9:11] = 3.0
+    white = white_of(metal)
+    shown = srgb(metal, white, lift_of(metal, white))
+    assert np.median(srgb(metal, white)) < 40
+    assert np.median(shown) == pytest.approx(128, abs=2)  # a middle grey
+    assert shown[9, 9] == 255
+    order = np.argsort(metal, axis=None)
+    assert np.all(np.diff(shown.ravel()[order].astype(int)) >= 0)
+    assert lift_of(np.zeros((2, 2)), 1.0) == 0
+
+
+@pytest.mark.parametrize("name", ["rolled_aluminum", "rolled_brass", "wall_plaster"])
+def test_the_default_ball_of_any_material_can_be_seen(run, tmp_path, name):
+    import cv2
+
+    code, out, _ = run("sphere", "--material", name, "--size", "48", "--samples", "4", "--json")
+    assert code == 0
+    document = json.loads(out)
+    picture = cv2.imread(str(tmp_path / "sphere.png"), cv2.IMREAD_UNCHANGED)
+    ball = picture[picture > 0]
+    assert np.median(ball) > 110
+    # Lit from above left, so that its form is seen.
+    assert picture[:24, :24].mean() > 1.2 * picture[24:, 24:].mean()
+    assert (document["lift"] > 0) == (name != "wall_plaster")
+    code, out, _ = run("sphere", "--material", name, "--size", "48", "--white", "1", "--json")
+    assert json.loads(out)["lift"] == 0  # a white that was given is a linear scale
 
 
 @pytest.mark.parametrize("suffix", [".pfm", ".npy", ".exr"])

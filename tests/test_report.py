@@ -326,11 +326,33 @@ def test_residual_maps_show_what_is_left(inputs, read):
     found = residuals.residuals(inputs.samples, inputs.fit)
     drawn = np.concatenate([view["data"][0]["marker"]["color"] for view in views])
     assert len(drawn) == len(inputs.samples)
-    assert np.sort(drawn) == pytest.approx(np.sort(found.z), abs=1e-2, rel=1e-2)
+    assert np.sort(drawn) == pytest.approx(np.sort(found.percent), abs=1e-2, rel=1e-2)
+    model = get(inputs.fit.model)
+    f = model(inputs.samples.directions, **in_python(inputs.fit))
+    first = 100 * (inputs.samples.value / f - 1)
+    assert np.median(np.abs(first - found.percent)) < 0.3  # but for the extent of the cells
+    assert "in per cent of the fitted f; colours end at ±" in read.text
+    bar = views[0]["data"][0]["marker"]["colorbar"]
+    assert bar["title"]["text"] == "% of f"
     assert f"Drawn: {len(drawn)} of {len(drawn)} samples" in read.text
     # Scaled as the fit did, they have the variance that was left.
     scaled = found.z.var() * inputs.fit.noise_scale**2
     assert scaled == pytest.approx(inputs.fit.chi2 / inputs.fit.dof, rel=0.05)
+
+
+def in_python(fit):
+    model = get(fit.model)
+    return {n: model.parameter(n).from_file(v) for n, v in fit.values().items()}
+
+
+def test_samples_without_light_have_no_per_cent(inputs):
+    found = residuals.residuals(inputs.samples, inputs.fit)
+    percent = found.percent.copy()
+    percent[::4] = np.nan
+    chart = residuals.maps(inputs.samples, replace(found, percent=percent))
+    left = int(np.isfinite(percent).sum())
+    assert sum(len(view.data[0]["x"]) for view in chart.views) == left
+    assert f"there is no per cent: {len(percent) - left} samples." in chart.caption
 
 
 def test_an_error_of_three_u_is_a_residual_of_three(inputs):

@@ -12,7 +12,17 @@ from gonio import materials
 from gonio.geometry import FloatArray
 from gonio.plotting import save, style
 from gonio.plotting.style import BLUE, VERMILLION
-from gonio.rendering import Directional, cross_section, plate, plate_reference, render, scene, srgb
+from gonio.rendering import (
+    Directional,
+    cross_section,
+    lift_of,
+    plate,
+    plate_reference,
+    render,
+    scene,
+    srgb,
+    white_of,
+)
 
 DEG = math.pi / 180
 WIDTH = 4.6  # inches
@@ -49,9 +59,9 @@ def panels(path: Path, images: dict[str, FloatArray], white: float, columns: int
     plt.close(figure)
 
 
-def show(ax: Axes, image: FloatArray, white: float, name: str) -> None:
+def show(ax: Axes, image: FloatArray, white: float, name: str, lift: float = 0.0) -> None:
     ax.set_axis_on()
-    ax.imshow(srgb(image, white), cmap="gray", vmin=0, vmax=255)
+    ax.imshow(srgb(image, white, lift), cmap="gray", vmin=0, vmax=255)
     ax.set_xticks([])
     ax.set_yticks([])
     ax.set_xlabel(name)
@@ -68,6 +78,24 @@ def spheres(path: Path) -> None:
         for sigma in (0, 10, 20, 40)
     }
     panels(path, images, 1.0)
+
+
+def defaults(path: Path) -> None:
+    """What 'gonio render sphere' draws of several materials when nothing else is said."""
+    import matplotlib.pyplot as plt
+
+    names = ("rolled_aluminum", "rolled_brass", "varnished_plywood", "glossy_grey_paper",
+             "white_ceramic_tile", "wall_plaster")  # fmt: skip
+    light = Directional(*scene("sphere").light)
+    with style():
+        figure, axes = plt.subplots(2, 3, figsize=(WIDTH, 3.4), layout="constrained")
+        for ax, name in zip(axes.flat, names, strict=True):
+            material = materials.get(name)
+            image = render("sphere", light, material.model, material.parameters, size=(150, 150))
+            white = white_of(image)
+            show(ax, image, white, name.replace("_", " "), lift_of(image, white))
+    save(figure, path)
+    plt.close(figure)
 
 
 def vase(path: Path) -> None:
@@ -139,6 +167,7 @@ def ward(path: Path) -> None:
 
 
 PICTURES = {
+    "materials.png": defaults,
     "spheres.png": spheres,
     "vase.png": vase,
     "objects.png": objects,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,9 @@ import rich_click as click
 from gonio.cli.measured import pairs, read_source
 from gonio.errors import ConfigurationError
 
+WIDTH = 80  # columns of the narrowest terminal that the table is made for
+NAME = 26  # columns of the longest line of a name
+TEXTS = 4  # columns of texts, before those of numbers
 _NAMES = ("theta_i", "phi_i", "theta_r", "phi_r")
 
 
@@ -74,35 +79,71 @@ def _directions(text: str) -> tuple[float, float, float, float]:
 def _show(report: dict[str, Any], source: Path) -> None:
     at = report["at"]
     _say(f"{source}: {_what(report)}")
-    columns = ("u/f, %", "", "") if at else ("median", "5 %", "95 %")
-    click.echo()
-    if not at:
-        click.echo(f"{'':<49}u/f in % over the samples")
-    click.echo(_line("source", "type", "shared by", "acts", columns, "share"))
+    heads = ("u/f, %",) if at else ("median", "5 %", "95 %")
+    rows = [("source", "type", "shared by", "acts", *heads, "share")]
     for row in report["sources"]:
         share = row["share_of_variance"]
-        click.echo(
-            _line(
+        rows.append(
+            (
                 row["name"],
                 row["kind"],
                 row["shared_by"],
                 "both" if row["acts"] == "factor and offset" else row["acts"],
-                _figures(row["relative"], at),
+                *_figures(row["relative"], at),
                 "?" if share is None else f"{share:.1%}",
             )
         )
-    click.echo()
-    click.echo(_line("combined", "", "", "", _figures(report["combined"], at), ""))
     k = report["coverage_factor"]
-    click.echo(_line(f"expanded, k = {k:g}", "", "", "", _figures(report["expanded"], at), ""))
+    rows.append(("combined", "", "", "", *_figures(report["combined"], at), ""))
+    rows.append((f"expanded, k = {k:g}", "", "", "", *_figures(report["expanded"], at), ""))
+    lines = table_lines(rows, shutil.get_terminal_size((WIDTH, 24)).columns)
+    sums = sum(len(_folded(row[0])) for row in rows[-2:])
     click.echo()
+    if not at:
+        click.echo(f"{'u/f in % over the samples':>{lines[0].index('95 %') + 4}}")
+    for line in [*lines[:-sums], "", *lines[-sums:], ""]:
+        click.echo(line)
     for line in _remarks(report):
         _say(line)
 
 
-def _line(name: str, kind: str, shared: str, acts: str, columns: Any, share: str) -> str:
-    numbers = "".join(f"{text:>8}" for text in columns)
-    return f"{name:<27}{kind:<5}{shared:<10}{acts:<7}{numbers}{share:>7}".rstrip()
+def table_lines(rows: Sequence[Sequence[str]], width: int) -> list[str]:
+    """Lines of a table: text to the left, numbers to the right, at least a blank between columns.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        Four texts, then numbers. A long text in the first column takes several lines.
+    width : int
+        Columns of the terminal. Two blanks stand between the columns of texts where they fit.
+
+    Examples
+    --------
+    >>> rows = [("source", "type", "shared by", "acts", "median"),
+    ...         ("lamp", "B", "incidences", "turns", "0.3")]
+    >>> print(*table_lines(rows, 80), sep="\\n")
+    source                      type  shared by   acts   median
+    lamp                        B     incidences  turns     0.3
+    """
+    cells = [[_folded(row[0]), *([text] for text in row[1:])] for row in rows]
+    wide = [max(len(line) for row in cells for line in row[k]) for k in range(len(cells[0]))]
+    wide[0] = NAME
+    for gap in (2, 1):
+        used = sum(wide) + (len(wide) - 1) * gap
+        if used <= max(width, WIDTH):
+            break
+    lines = []
+    for row in cells:
+        texts = "".join(f"{row[k][0]:<{wide[k] + gap}}" for k in range(TEXTS))
+        numbers = (" " * gap).join(f"{cell[0]:>{w}}" for cell, w in
+                                   zip(row[TEXTS:], wide[TEXTS:], strict=True))  # fmt: skip
+        lines += [(texts + numbers).rstrip(), *row[0][1:]]
+    return lines
+
+
+def _folded(name: str) -> list[str]:
+    """The lines of a name in the first column."""
+    return textwrap.wrap(name, NAME, subsequent_indent="  ") or [""]
 
 
 def _what(report: dict[str, Any]) -> str:
@@ -117,9 +158,9 @@ def _what(report: dict[str, Any]) -> str:
 
 def _figures(summary: dict[str, float] | None, at: Any) -> tuple[str, ...]:
     if summary is None:
-        return ("?", "", "") if at else ("?", "?", "?")
+        return ("?",) if at else ("?", "?", "?")
     if at:
-        return (_percent(summary["median"]), "", "")
+        return (_percent(summary["median"]),)
     return tuple(_percent(summary[key]) for key in ("median", "p5", "p95"))
 
 

@@ -31,6 +31,7 @@ KINDS = {
     "solid": "model",
     "albedo": "model",
 }
+SMALLEST_PAGE = 0.85  # of the size that the page is made for
 SIGNS = ("model:", "material:")
 
 
@@ -70,9 +71,21 @@ class _Content:
 @click.option(
     "-o",
     "--output",
-    metavar="OUT.png",
+    metavar="OUT.png|.pdf|.svg",
     type=click.Path(path_type=Path),
-    help="Picture to write, .png, .pdf or .svg; INPUT with .png where not given.",
+    help="Picture to write; its suffix decides the format; INPUT with .png where not given.",
+)
+@click.option(
+    "--size",
+    metavar="WxH",
+    help="Width and height of the picture in inches, or with a unit, such as 160x100mm; letters "
+    "keep their size.",
+)
+@click.option(
+    "--dpi",
+    type=float,
+    metavar="N",
+    help="Dots an inch of a PNG, and of the images inside a PDF or SVG; 160 where not given.",
 )
 @click.option(
     "--select",
@@ -86,6 +99,8 @@ def command(
     kind: str | None,
     items: tuple[str, ...],
     output: Path | None,
+    size: str | None,
+    dpi: float | None,
     selections: tuple[str, ...],
 ) -> None:
     """Draw a model, BRDF samples or a fit.
@@ -101,6 +116,7 @@ def command(
         name = source.partition(":")[2] if named else source
         output = Path(f"{name}.png") if named else Path(source).with_suffix(".png")
     _check(None if named else Path(source), output, kind, items)
+    inches = _inches(size, dpi)
     content = _named(source, items) if named else _read(Path(source), selections)
     kind = kind or ("lobe" if named else "summary")
     if not content.has(KINDS[kind]):
@@ -111,7 +127,10 @@ def command(
         )
     from gonio.plotting import save
 
-    save(_drawn(kind, content), output)
+    figure = _drawn(kind, content)
+    if kind == "summary" and inches is not None:
+        _check_page(inches, tuple(figure.get_size_inches()))
+    save(figure, output, size=inches, dpi=dpi)
     click.echo(f"written to {output}", err=True)
 
 
@@ -135,6 +154,27 @@ def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str
             )
     format_of(output)
     check_target(output)
+
+
+def _inches(size: str | None, dpi: float | None) -> tuple[float, float] | None:
+    """Width and height in inches; what no picture can have is refused before it is drawn."""
+    from gonio.plotting.style import check_size, parse_size
+
+    inches = None if size is None else parse_size(size)
+    check_size(inches, dpi)
+    return inches
+
+
+def _check_page(size: tuple[float, float], own: tuple[float, float]) -> None:
+    """Refuse a page on which the panels would run into each other."""
+    least = SMALLEST_PAGE * own[0], SMALLEST_PAGE * own[1]
+    if size[0] < least[0] or size[1] < least[1]:
+        raise ConfigurationError(
+            f"the whole page needs {least[0]:.3g} x {least[1]:.3g} inches at least and --size is "
+            f"{size[0]:.3g} x {size[1]:.3g} inches; draw one picture of it with --kind slices, "
+            "for instance.",
+            value=size,
+        )
 
 
 def _named(source: str, items: tuple[str, ...]) -> _Content:

@@ -42,8 +42,8 @@ EDGE = 256  # pixels of the longer edge where no size is given
     "--theta-i",
     type=float,
     metavar="DEG",
-    help="Angle of the light from the axis of the scene; where not given, that of the scene, for "
-    "sphere, vase and objects the viewer's direction.",
+    help="Angle of the light from the axis of the scene; where not given, that of the scene: 30 "
+    "above left for the sphere, the viewer's direction for vase and objects.",
 )
 @click.option(
     "--phi-i",
@@ -153,8 +153,9 @@ EDGE = 256  # pixels of the longer edge where no size is given
     "--white",
     type=float,
     metavar="L",
-    help="Radiance that a PNG shows as white; where not given, that which 99.5 % of the lit "
-    "pixels do not exceed. Give it for pictures that are to be compared.",
+    help="Radiance that a PNG shows as white, on a linear scale; give it for pictures that are to "
+    "be compared. Where not given, what 99.5 % of the lit pixels do not exceed, and dark values "
+    "are lifted where a highlight would leave the rest nearly black.",
 )
 @click.option(
     "-o",
@@ -202,7 +203,7 @@ def command(
     from gonio.cli.options import check_target, echo_json
     from gonio.cli.progress import progress
     from gonio.rendering import render, save_picture, scene, white_of
-    from gonio.rendering.pictures import check_name
+    from gonio.rendering.pictures import check_name, lift_of
 
     drawn = scene(scene_name, floor=floor)
     output = Path(f"{scene_name}.png") if output is None else output
@@ -221,6 +222,7 @@ def command(
             progress=callback,
         )  # fmt: skip
     top = white_of(image) if white is None else white
+    lift = lift_of(image, top) if white is None else 0.0
     document = {
         "schema": "gonio.rendering/1",
         "scene": scene_name,
@@ -243,8 +245,9 @@ def command(
         "samples": samples,
         "seed": seed,
         "white": top if suffix == ".png" else None,
+        "lift": lift if suffix == ".png" else None,
     }
-    save_picture(image, output, white=top, facts=document)
+    save_picture(image, output, white=top, lift=lift, facts=document)
     document["radiance"] = {
         "max": float(image.max()), "mean": float(image.mean()),
         "clipped": float((image > top).mean()) if suffix == ".png" else None,
@@ -264,7 +267,8 @@ def _tell(document: dict[str, Any], suffix: str, bounces: int) -> None:
     click.echo(f"{document['output']}: {columns} x {rows} pixels; {light}.")
     if suffix == ".png":
         clipped = 100 * document["radiance"]["clipped"]
-        click.echo(f"Tone: {tone_text(document['white'])}. Clipped: {clipped:.2g} % of the pixels.")
+        tone = tone_text(document["white"], document["lift"])
+        click.echo(f"Tone: {tone}. Clipped: {clipped:.2g} % of the pixels.")
     else:
         click.echo(f"Linear radiance, up to {document['radiance']['max']:.6g}.")
 

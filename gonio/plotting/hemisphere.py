@@ -22,7 +22,6 @@ from gonio.samples import BRDFSamples
 THETA_I = tuple(np.radians([0.0, 30.0, 60.0]))
 DECADES = 4.0  # most that the colours span
 PANELS = 3
-LIMIT = 3.0  # of the colours of residuals, in standard uncertainties
 _STEEPEST = 89.0  # degrees: at the horizon itself f is 0 by definition
 _SAME = np.radians(0.05)
 _MAP = "viridis"  # its lightness grows with the value: it reads in grey
@@ -157,7 +156,7 @@ def residual_map(
     *,
     n: int = PANELS,
 ) -> list[Axes]:
-    """Measured less fitted over the hemisphere, in standard uncertainties.
+    """Measured less fitted over the hemisphere, in per cent of the fitted f.
 
     Parameters
     ----------
@@ -174,7 +173,8 @@ def residual_map(
     list of Axes
         A triangle for each sample: upwards where the measurement is above the fit, downwards
         where it is below; the darker, the farther. The sign is told by the shape as well as by
-        the colour, for print and for the colour-blind.
+        the colour, for print and for the colour-blind. Samples at which the fitted f is not
+        above zero are left out.
 
     Raises
     ------
@@ -183,30 +183,28 @@ def residual_map(
 
     Notes
     -----
-    The unit is that of the fit: uncertainties times its `noise_scale`, or the residuals' root mean
-    square where none is known; the colour bar says which. Neighbours of one sign are what a wrong
-    model or a wrong direction looks like.
+    The colours end where 95 % of the residuals lie within. Neighbours of one sign are what a
+    wrong model or a wrong direction looks like.
     """
-    from gonio.reporting.residuals import residuals
+    from gonio.reporting.residuals import colour_limit, residuals
 
-    found = residuals(samples, result)
+    percent = residuals(samples, result).percent
     chosen = _incidences(samples, n)
-    norm = Normalize(-LIMIT, LIMIT)
+    limit = colour_limit(percent)
+    norm = Normalize(-limit, limit)
     with style():
         axes = _panels(axes, len(chosen))
         for ax, (theta_i, phi_i, index) in zip(axes, chosen, strict=True):
             draw_disc(ax, background="white")
             x, y, size = _places(samples, index)
-            z = found.z[index]
-            for side, marker in ((z >= 0, "^"), (z < 0, "v")):
+            rest = percent[index]
+            for side, marker in ((rest >= 0, "^"), (rest < 0, "v")):
                 drawn = ax.scatter(
-                    x[side], y[side], 1.3 * size[side], c=z[side], norm=norm, cmap=_diverging(),
+                    x[side], y[side], 1.3 * size[side], c=rest[side], norm=norm, cmap=_diverging(),
                     marker=marker, linewidths=0, zorder=1,
                 )  # fmt: skip
             _finish(ax, theta_i, phi_i)
-        unit = "standard uncertainties" if found.known else "root mean squares"
-        scale = f"{result.noise_scale:.3g} " if found.known and result.noise_scale != 1 else ""
-        _bar(axes, drawn, f"measured − fitted ({scale}{unit})")
+        _bar(axes, drawn, "measured − fitted (% of the fitted f)")
     return list(axes)
 
 

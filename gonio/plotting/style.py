@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +31,10 @@ BLACK, BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = COLOURS = (
 GREY = "#666666"
 FORMATS = ("png", "pdf", "svg")
 DPI = 160
+UNITS = {"in": 1.0, "cm": 2.54, "mm": 25.4}  # in an inch
+EDGES = (2.0, 60.0)  # shortest and longest edge of a picture, inches
+DOTS = (30.0, 2400.0)  # dots an inch
+PIXELS = 30_000  # most along an edge
 
 _SETTINGS: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib and has every symbol of the models
@@ -121,28 +126,119 @@ def format_of(path: str | Path) -> str:
     return suffix
 
 
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG (160 dots an inch), PDF or SVG, whole or not at all.
+def save(
+    figure: Figure,
+    path: str | Path,
+    *,
+    size: tuple[float, float] | None = None,
+    dpi: float | None = None,
+) -> None:
+    """Write a figure as PNG, PDF or SVG, whole or not at all.
 
     Parameters
     ----------
     figure : Figure
+        It keeps its own size.
     path : path
         The suffix, .png, .pdf or .svg, decides the format.
+    size : tuple of float, optional
+        Width and height of the picture in inches; those of the figure where not given. Letters
+        and lines keep their size in print.
+    dpi : float, optional
+        Dots an inch of a PNG, and of the pictures inside a PDF or SVG; 160 where not given.
 
     Raises
     ------
     ConfigurationError
-        For another suffix, or if `path` is a folder.
+        For another suffix, a size or a resolution out of range, or if `path` is a folder.
     DataError
         If the file cannot be written.
     """
     path = Path(path)
     kind = format_of(path)
+    check_size(size, dpi)
     if path.is_dir():
         raise ConfigurationError(f"{path}: is a folder; give the name of a file.", value=path)
-    with style(), atomic_path(path) as temporary:
-        figure.savefig(temporary, format=kind, metadata=_UNDATED[kind])
+    own = figure.get_size_inches()
+    with style(), atomic_path(path) as temporary, warnings.catch_warnings():
+        if size is not None:
+            figure.set_size_inches(size)
+            for ax in figure.axes:
+                ax.xaxis.label.set_wrap(True)
+            warnings.filterwarnings("error", "constrained_layout not applied", UserWarning)
+        try:
+            figure.savefig(temporary, format=kind, dpi=dpi or DPI, metadata=_UNDATED[kind])
+        except UserWarning:
+            raise ConfigurationError(
+                f"the picture's labels leave no room for its panels at {_inches(figure)}; give a "
+                f"larger --size (drawn for {own[0]:.3g} x {own[1]:.3g} inches).",
+                value=size,
+            ) from None
+        finally:
+            figure.set_size_inches(own)
+
+
+def _inches(figure: Figure) -> str:
+    wide, high = figure.get_size_inches()
+    return f"{wide:.3g} x {high:.3g} inches"
+
+
+def parse_size(text: str) -> tuple[float, float]:
+    """Width and height in inches from a text such as 6.4x4, 6.4x4in or 160x100mm.
+
+    Raises
+    ------
+    ConfigurationError
+        If the text is not a size, or one that no picture can have.
+
+    Examples
+    --------
+    >>> parse_size("6.4x4"), parse_size("254x127mm")
+    ((6.4, 4.0), (10.0, 5.0))
+    """
+    found = re.fullmatch(r"\s*([\d.]+)\s*x\s*([\d.]+)\s*(in|mm|cm)?\s*", text.lower())
+    try:
+        edges = [float(edge) for edge in found.groups()[:2]] if found else []
+    except ValueError:
+        edges = []
+    if found is None or not edges:
+        raise ConfigurationError(
+            f"--size {text!r} is not WIDTHxHEIGHT; write it in inches as 6.4x4, or with a unit as "
+            "160x100mm.",
+            value=text,
+        )
+    scale = UNITS[found[3] or "in"]
+    size = edges[0] / scale, edges[1] / scale
+    check_size(size)
+    return size
+
+
+def check_size(size: tuple[float, float] | None, dpi: float | None = None) -> None:
+    """Refuse a size in inches or a resolution that no picture can have.
+
+    Raises
+    ------
+    ConfigurationError
+        If an edge or the resolution is out of range, or both together make too many pixels.
+    """
+    if size is not None and not all(EDGES[0] <= edge <= EDGES[1] for edge in size):
+        raise ConfigurationError(
+            f"the size {size[0]:.4g} x {size[1]:.4g} inches is out of range; each edge is "
+            f"{EDGES[0]:g} to {EDGES[1]:g} inches ({25.4 * EDGES[0]:.0f} to "
+            f"{25.4 * EDGES[1]:.0f} mm).",
+            value=size,
+        )
+    if dpi is not None and not DOTS[0] <= dpi <= DOTS[1]:
+        raise ConfigurationError(
+            f"{dpi:g} dots an inch are out of range; allowed are {DOTS[0]:g} to {DOTS[1]:g}.",
+            value=dpi,
+        )
+    if size is not None and max(size) * (dpi or DPI) > PIXELS:
+        raise ConfigurationError(
+            f"{size[0]:.4g} x {size[1]:.4g} inches at {dpi or DPI:g} dots an inch are more than "
+            f"{PIXELS} pixels along an edge; give a smaller --size or --dpi.",
+            value=size,
+        )
 
 
 def symbol(parameter: Parameter, *, unit: bool = False) -> str:

@@ -11,7 +11,7 @@ Light goes from a lamp to a surface to the camera; more than that only where `bo
 
 from gonio.rendering.integrate import render
 from gonio.rendering.lights import SKIES, WHITE, Directional, Environment, Light, Rectangle, sky
-from gonio.rendering.pictures import read_map, save_picture, srgb, white_of
+from gonio.rendering.pictures import lift_of, read_map, save_picture, srgb, white_of
 from gonio.rendering.plate import METHODS, PlatePicture, Room, plate, plate_reference
 from gonio.rendering.prefilter import Prefiltered, PrefilterError, prefilter, prefilter_error
 from gonio.rendering.scene import SCENES, Camera, Scene, scene
@@ -33,6 +33,7 @@ __all__ = [
     "Room",
     "Scene",
     "cross_section",
+    "lift_of",
     "plate",
     "plate_reference",
     "prefilter",

@@ -1,7 +1,9 @@
 """Pictures on disk: PNG to look at, and the linear radiance as PFM, EXR or .npy.
 
 A PNG holds 8 bits a pixel on the sRGB curve: 255 [L/white] by the curve of IEC 61966-2-1, clipped
-at white. What white is stands in its text, so that two pictures can be compared.
+at white. Where no white is given and a highlight would leave the rest of the picture nearly black,
+dark values are lifted first: v becomes ln(1 + a v) / ln(1 + a) with v = L/white. White and a stand
+in the picture's text.
 """
 
 from __future__ import annotations
@@ -22,6 +24,10 @@ from gonio.geometry import FloatArray
 
 SUFFIXES = (".png", ".pfm", ".exr", ".npy")
 MAPS = (".pfm", ".hdr", ".exr", ".npy")
+MIDDLE = (
+    0.22  # linear grey value, 128 of 255 on the sRGB curve, that the median does not fall below
+)
+MOST_LIFT = 1e6
 BRIGHTEST = 99.5  # percentile of the lit pixels that is white where nothing else is said
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 red, green, blue
 
@@ -38,8 +44,47 @@ def white_of(image: FloatArray) -> float:
     return float(np.percentile(lit, BRIGHTEST)) if len(lit) else 1.0
 
 
-def srgb(image: FloatArray, white: float) -> NDArray[np.uint8]:
+def lift_of(image: FloatArray, white: float) -> float:
+    """Lift of dark values that brings the median of the lit pixels to a middle grey.
+
+    Returns
+    -------
+    float
+        The a of ln(1 + a v) / ln(1 + a), v = L/white; 0, which is linear, where the median is
+        bright enough.
+
+    Examples
+    --------
+    >>> lift_of(np.array([0.5, 0.6, 1.0]), 1.0)
+    0.0
+    >>> lift = lift_of(np.array([0.02, 0.02, 1.0]), 1.0)
+    >>> round(float(np.log1p(lift * 0.02) / np.log1p(lift)), 6)
+    0.22
+    """
+    lit = image[image > 0]
+    median = float(np.median(lit)) / white if len(lit) else 1.0
+    if median >= MIDDLE:
+        return 0.0
+    low, high = -8.0, float(np.log(MOST_LIFT))
+    for _ in range(60):  # the lifted median grows with ln a
+        middle = (low + high) / 2
+        lift = np.exp(middle)
+        below = np.log1p(lift * median) < MIDDLE * np.log1p(lift)
+        low, high = (middle, high) if below else (low, middle)
+    return float(f"{np.exp(high):.6g}")
+
+
+def srgb(image: FloatArray, white: float, lift: float = 0.0) -> NDArray[np.uint8]:
     """Bytes of a picture on the sRGB curve, clipped at `white`.
+
+    Parameters
+    ----------
+    image : ndarray
+        Linear radiance.
+    white : float
+        Radiance that becomes 255.
+    lift : float
+        How much dark values are lifted, see `lift_of`; 0 is linear.
 
     Raises
     ------
@@ -57,6 +102,8 @@ def srgb(image: FloatArray, white: float) -> NDArray[np.uint8]:
             value=white,
         )
     v = np.clip(image / white, 0, 1)
+    if lift > 0:
+        v = np.log1p(lift * v) / np.log1p(lift)
     curve = np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * curve), np.uint8)
 
@@ -86,6 +133,7 @@ def save_picture(
     path: str | Path,
     *,
     white: float | None = None,
+    lift: float | None = None,
     facts: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a picture, whole or not at all.
@@ -98,6 +146,9 @@ def save_picture(
         .png shows it; .pfm and .exr (32 bits) and .npy (64 bits) keep the radiance.
     white : float, optional
         Radiance that a PNG shows as white; that of `white_of` where not given.
+    lift : float, optional
+        How much a PNG lifts dark values; that of `lift_of` where neither it nor `white` is given,
+        else 0.
     facts : mapping, optional
         What a PNG and an EXR say about themselves, as one JSON document in their text.
 
@@ -110,7 +161,9 @@ def save_picture(
     """
     suffix = check_name(path)
     if suffix == ".png":
-        data = png(image, white_of(image) if white is None else white, facts or {})
+        if lift is None:
+            lift = lift_of(image, white_of(image)) if white is None else 0.0
+        data = png(image, white_of(image) if white is None else white, facts or {}, lift)
     with atomic_path(Path(path)) as temporary:
         if suffix == ".png":
             temporary.write_bytes(data)
@@ -123,13 +176,13 @@ def save_picture(
             _save_exr(image, temporary, facts or {})
 
 
-def png(image: FloatArray, white: float, facts: Mapping[str, Any]) -> bytes:
+def png(image: FloatArray, white: float, facts: Mapping[str, Any], lift: float = 0.0) -> bytes:
     """A grey PNG with its tone mapping and `facts` in its text."""
-    pixels = srgb(image, white)
+    pixels = srgb(image, white, lift)
     rows, columns = pixels.shape
     text = {
         "Software": "gonio",
-        "Description": tone_text(white),
+        "Description": tone_text(white, lift),
         "Comment": json.dumps(dict(facts), ensure_ascii=True, allow_nan=False),
     }
     chunks = [
@@ -143,9 +196,10 @@ def png(image: FloatArray, white: float, facts: Mapping[str, Any]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
-def tone_text(white: float) -> str:
+def tone_text(white: float, lift: float = 0.0) -> str:
     """How radiance became a grey value, in words."""
-    return f"radiance {white:.6g} is white and more is clipped; 8 bits on the sRGB curve"
+    lifted = f"dark values are lifted, ln(1 + {lift:.4g} v) with v = L/white; " if lift > 0 else ""
+    return f"radiance {white:.6g} is white and more is clipped; {lifted}8 bits on the sRGB curve"
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:

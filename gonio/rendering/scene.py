@@ -106,7 +106,8 @@ class Camera:
 
 def _sphere() -> Scene:
     ball = Revolution(pieces=(Piece(-1, 1, 1.0, c=-1.0),), axes=UPRIGHT)
-    return Scene("sphere", "a sphere of radius 1", (ball,), (2.2, 2.2))
+    above_left = math.radians(30), math.radians(120)
+    return Scene("sphere", "a sphere of radius 1", (ball,), (2.2, 2.2), light=above_left)
 
 
 def vase_pieces() -> tuple[Piece, ...]:

@@ -18,7 +18,7 @@ from gonio.samples import BRDFSamples
 
 MOST_DRAWN = 12_000  # samples in all maps together
 MOST_MAPS = 64
-LIMIT = 3.0  # of the colours
+WITHIN = 0.95  # share of the samples that the colours of a map tell apart
 BINS = np.linspace(-5, 5, 51)
 _COLOURS = [[0, BLUE], [0.5, "#dcdcdc"], [1, VERMILLION]]
 
@@ -35,11 +35,14 @@ class Residuals:
         Their unit in words.
     known : bool
         Whether the unit is the standard uncertainty of a sample.
+    percent : ndarray, shape (N,)
+        The residuals in per cent of the fitted f; NaN where that is not above zero.
     """
 
     z: FloatArray
     unit: str
     known: bool
+    percent: FloatArray
 
 
 def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
@@ -49,50 +52,74 @@ def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
     p = model.vector(fit.values())
     f = problem.values(p)
     rest = samples.value - f
+    percent = 100 * rest / np.where(f > 0, f, np.nan)
     if samples.u_independent is None:
-        return Residuals(rest / (np.sqrt(np.mean(rest**2)) or 1.0), "their root mean square", False)
+        scale = np.sqrt(np.mean(rest**2)) or 1.0
+        return Residuals(rest / scale, "their root mean square", False, percent)
     # As the fit weighs them: the noise of the model's value, not of the noisy one.
     u = np.sqrt(problem.variance(f))
     if fit.noise_scale == 1:
-        return Residuals(rest / u, "their standard uncertainties", True)
+        return Residuals(rest / u, "their standard uncertainties", True, percent)
     unit = f"{fit.noise_scale:.3g} times their standard uncertainties, as the fit scaled them"
-    return Residuals(rest / (fit.noise_scale * u), unit, True)
+    return Residuals(rest / (fit.noise_scale * u), unit, True, percent)
+
+
+def colour_limit(percent: FloatArray) -> float:
+    """End of the colours of a map: 1, 2 or 5 times a power of ten, beyond most residuals.
+
+    Examples
+    --------
+    >>> colour_limit(np.array([-0.3, 0.1, 1.4, np.nan]))
+    2.0
+    """
+    known = np.abs(percent[np.isfinite(percent)])
+    most = max(float(np.quantile(known, WITHIN)) if len(known) else 1.0, 1e-6)
+    decade = 10.0 ** np.floor(np.log10(most))
+    return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= most))
 
 
 def maps(samples: BRDFSamples, found: Residuals) -> Chart:
     """Residuals over the hemisphere of viewing directions, a map for each incidence."""
     shown = spread(images(samples), MOST_MAPS)
     each = max(1, MOST_DRAWN // len(shown))
+    limit = colour_limit(found.percent)
     views, n = [], 0
     for image in shown:
-        trace = _map(samples, found.z, image, each)
+        trace = _map(samples, found, image, each, limit)
         n += len(trace["x"])
         views.append(View(image.label, [trace, _specular(image)], _disc()))
     caption = (
-        f"Measured less fitted, in units of {found.unit}; colours end at ±{LIMIT:g}. Equal areas "
-        "of the disc are equal solid angles; the normal is in the middle, circles lie at θr = 30°, "
-        f"60° and 90°, the small cross is the specular direction. Drawn: {n} of {len(samples)} "
-        "samples."
+        f"Measured less fitted, in per cent of the fitted f; colours end at ±{limit:g} %. Equal "
+        "areas of the disc are equal solid angles; the normal is in the middle, circles lie at "
+        "θr = 30°, 60° and 90°, the small cross is the specular direction. "
+        f"Drawn: {n} of {len(samples)} samples."
     )
+    missing = int(np.sum(~np.isfinite(found.percent)))
+    if missing:
+        caption += f" Where the fitted f is not above zero there is no per cent: {missing} samples."
     return Chart("residual-maps", "Incidence", tuple(views), caption, height=470)
 
 
-def _map(samples: BRDFSamples, z: FloatArray, image: Image, most: int) -> Trace:
+def _map(samples: BRDFSamples, found: Residuals, image: Image, most: int, limit: float) -> Trace:
     at = np.asarray(spread(image.index, most), np.int64)
+    at = at[np.isfinite(found.percent[at])]
     _, _, theta_r, phi_r = (column[at] for column in columns(samples))
     r = radius(theta_r)
     text = [
-        f"{t:.0f}°, {p:.0f}°"
-        for t, p in zip(np.degrees(theta_r), np.degrees(phi_r) % 360, strict=True)
-    ]
+        f"{t:.0f}°, {p:.0f}°: {percent:+.3g} % of f, {z:+.2g}"
+        for t, p, percent, z in zip(
+            np.degrees(theta_r), np.degrees(phi_r) % 360, found.percent[at], found.z[at],
+            strict=True,
+        )
+    ]  # fmt: skip
     return {
         "type": "scatter", "mode": "markers", "x": short(r * np.cos(phi_r)),
         "y": short(r * np.sin(phi_r)), "text": text,
-        "hovertemplate": "θr, φr = %{text}: %{marker.color}<extra></extra>",
+        "hovertemplate": f"θr, φr = %{{text}} of {found.unit}<extra></extra>",
         "marker": {
-            "color": short(z[at], 3), "cmin": -LIMIT, "cmax": LIMIT, "colorscale": _COLOURS,
-            "size": 11, "symbol": "square", "line": {"width": 0},
-            "colorbar": {"thickness": 12, "len": 0.8, "tickvals": [-3, -2, -1, 0, 1, 2, 3]},
+            "color": short(found.percent[at], 3), "cmin": -limit, "cmax": limit,
+            "colorscale": _COLOURS, "size": 11, "symbol": "square", "line": {"width": 0},
+            "colorbar": {"thickness": 12, "len": 0.8, "title": {"text": "% of f"}},
         },
     }  # fmt: skip
 
@@ -149,7 +176,7 @@ def histogram(found: Residuals) -> Chart:
     ]  # fmt: skip
     layout = {"xaxis": axis("residual"), "yaxis": axis("samples"), "bargap": 0}
     caption = (
-        f"All {n} residuals, in units of {found.unit}; what lies beyond ±5 is counted in the last "
+        f"All {n} residuals, in units of {found.unit}. Residuals beyond ±5 are counted in the last "
         "bars. Line: a normal distribution of standard deviation 1."
     )
     return Chart("residuals", "", (View("", data, layout),), caption, height=320)

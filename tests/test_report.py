@@ -328,7 +328,7 @@ def test_residual_maps_show_what_is_left(inputs, read):
     assert len(drawn) == len(inputs.samples)
     assert np.sort(drawn) == pytest.approx(np.sort(found.percent), abs=1e-2, rel=1e-2)
     model = get(inputs.fit.model)
-    f = model(inputs.samples.directions, **in_python(inputs.fit))
+    f = model(inputs.samples.directions, **inputs.fit.values())
     first = 100 * (inputs.samples.value / f - 1)
     assert np.median(np.abs(first - found.percent)) < 0.3  # but for the extent of the cells
     assert "in per cent of the fitted f; colours end at ±" in read.text
@@ -338,11 +338,6 @@ def test_residual_maps_show_what_is_left(inputs, read):
     # Scaled as the fit did, they have the variance that was left.
     scaled = found.z.var() * inputs.fit.noise_scale**2
     assert scaled == pytest.approx(inputs.fit.chi2 / inputs.fit.dof, rel=0.05)
-
-
-def in_python(fit):
-    model = get(fit.model)
-    return {n: model.parameter(n).from_file(v) for n, v in fit.values().items()}
 
 
 def test_samples_without_light_have_no_per_cent(inputs):

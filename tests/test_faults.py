@@ -11,7 +11,9 @@ from virtual import small
 
 import gonio
 from gonio import cli
+from gonio.calibration.faults import all_questions
 from gonio.calibration.faults import session as faults
+from gonio.calibration.faults.float_frame import of_float_frame
 from gonio.errors import DataError
 from gonio.instrument import Instrument, preset, preset_names
 from gonio.instrument.records import channels
@@ -112,6 +114,18 @@ def test_no_false_alarm_of_an_instrument_with_quirks(tmp_path):
     session = record(tmp_path / "s", rig)
     assert found(session, same) == {}
     assert all(abs(z) < 4 for z in fitted(session).values())
+
+
+@pytest.mark.parametrize("question", all_questions(), ids=lambda question: question.key)
+def test_a_question_is_named_as_its_file_and_has_words(question):
+    assert question.ask.__module__ == f"gonio.calibration.faults.{question.key}"
+    assert question.asks.endswith("?")
+    assert question.compares
+    assert question.codes
+
+
+def test_no_two_questions_have_one_place():
+    assert len({question.order for question in all_questions()}) == len(all_questions())
 
 
 # ---------------------------------------------------------------- the drill
@@ -315,9 +329,9 @@ def test_a_standard_off_by_its_uncertainty_is_inside_the_uncertainty(tmp_path):
 )
 def test_a_float_frame_that_holds_no_counts(value, message):
     frame = np.full((2, 3), 70.0)
-    assert faults.of_float_frame(frame, "dark.tif") == ()
+    assert of_float_frame(frame, "dark.tif") == ()
     frame[1, 2] = value
-    (finding,) = faults.of_float_frame(frame, "dark.tif")
+    (finding,) = of_float_frame(frame, "dark.tif")
     assert finding.severity == "error"
     assert re.match(message, finding.text)
 

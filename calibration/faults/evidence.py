@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,27 +11,7 @@ from gonio.calibration.frames.standard import Reference
 from gonio.geometry import FloatArray
 from gonio.metadata import Metadata
 
-Severity = Literal["error", "warning"]
 Image = tuple[str, int, int]  # role, take, incidence
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something wrong with a session.
-
-    Parameters
-    ----------
-    code : str
-        Name of the fault, the same in every session.
-    severity : {"error", "warning"}
-        An error stops the reduction.
-    text : str
-        One sentence that names the frame and the figure.
-    """
-
-    code: str
-    severity: Severity
-    text: str
 
 
 class Evidence:
@@ -56,6 +33,7 @@ class Evidence:
         self.bad: dict[str, dict[int, NDArray[np.bool_]]] = {"dead": {}, "hot": {}}
         self.background: Rate | None = None
 
+    # A reader of frames calls the next two (`gonio.calibration.frames.reader`).
     def see(
         self, role: str, take: int, incidence: int, bracket: NDArray[np.uint16], rate: Rate
     ) -> None:

@@ -17,6 +17,7 @@ GRID = 64  # blocks along the longer side of a frame, about
 CLEAR = 6  # pixels beyond the image circle that still count as lit
 MANY = 4000  # pixels that are enough for a figure of a frame
 BRIGHT = (0.1, 0.85)  # of the range of counts, between which exposures are compared
+ZEROS = 0.01  # share of counts at 0 from which on they are cut off
 FEWEST = 30  # pixels that an average takes at least
 BEYOND = 1.3  # times the largest count that a frame before predicts where counts are cut off
 

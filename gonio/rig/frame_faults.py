@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.calibration.faults.evidence import Evidence, Finding
+from gonio.calibration.faults.base import Finding
+from gonio.calibration.faults.evidence import Evidence
 from gonio.metadata import Metadata
 from gonio.rig.frame_files import Place, describe
 from gonio.rig.pictures import full_count

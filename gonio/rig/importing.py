@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from gonio.calibration.faults import session as faults
-from gonio.calibration.faults.evidence import Finding
+from gonio.calibration.faults.base import Finding
 from gonio.errors import DataError
 from gonio.files import write_text
 from gonio.kernels.threads import default_threads

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.calibration.faults.session import of_float_frame
+from gonio.calibration.faults.float_frame import of_float_frame
 from gonio.calibration.frames.exposure import SATURATED
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import FloatArray

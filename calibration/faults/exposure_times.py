@@ -1,0 +1,62 @@
+"""Do counts grow as the exposure times say?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gonio.calibration.faults.base import Finding, Question
+from gonio.calibration.faults.evidence import Evidence, Image
+from gonio.calibration.faults.frame_statistics import Figure
+
+SIGMAS = 5.0  # that a figure must stand out by
+GROWTH = 0.05  # by which a signal may fail to grow as the exposure
+
+
+def ask(evidence: Evidence) -> Iterator[Finding]:
+    """Counts must grow as the exposure does."""
+    times = evidence.metadata.plan.exposures_s
+    wrong: list[tuple[float, Image, int, float]] = []
+    for image, figures in evidence.of("standard", "sample"):
+        for k, figure in enumerate(figures.growth, start=1):
+            expected = times[k] / times[k - 1]
+            if figure is not None and _stands_out(figure, expected, GROWTH * expected):
+                wrong.append((abs(np.log(max(figure[0], 1e-6) / expected)), image, k, figure[0]))
+    if not wrong:
+        return
+    _, image, k, growth = max(wrong, key=lambda each: each[0])
+    expected = times[k] / times[k - 1]
+    text = (
+        f"{evidence.name(image, k)}: signals are {growth:.3g} times those of "
+        f"{times[k - 1] * 1e3:g} ms, not {expected:.3g}"
+    )
+    images = {each[1] for each in wrong}
+    if growth <= 1:
+        yield Finding(
+            "exposure_order",
+            "error",
+            f"{text}: frames are exchanged, or plan.exposures_s is not what the camera did.",
+        )
+    else:
+        yield Finding(
+            "not_linear",
+            "warning",
+            f"{text}, as in {len(images)} images: the response is not what camera.gamma = "
+            f"{evidence.metadata.camera.gamma:g} says, or plan.exposures_s is not what the camera "
+            "did.",
+        )
+
+
+def _stands_out(figure: Figure, expected: float, tolerance: float) -> bool:
+    return abs(figure[0] - expected) > max(tolerance, SIGMAS * figure[1])
+
+
+QUESTION = Question(
+    key="exposure_times",
+    order=30,
+    asks="Do counts grow as the exposure times say?",
+    compares="the signals of each exposure with those of the one before",
+    codes=("exposure_order", "not_linear"),
+    ask=ask,
+)

@@ -1,0 +1,39 @@
+"""Is a frame there twice?"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+from gonio.calibration.faults.base import Finding, Question
+from gonio.calibration.faults.evidence import Evidence
+
+
+def ask(evidence: Evidence) -> Iterator[Finding]:
+    """The same frame twice, noise and all."""
+    places = defaultdict(list)
+    for image, figures in evidence.of("background", "standard", "sample"):
+        for k, mark in enumerate(figures.prints):
+            if mark is not None:
+                places[mark].append((image, k))
+    twins = [place for place in places.values() if len(place) > 1]
+    for place in twins[:1]:
+        (a, j), (b, k) = place[:2]
+        code = "missing_background" if "background" in (a[0], b[0]) else "same_frame"
+        more = f" There are {len(twins)} such pairs." if len(twins) > 1 else ""
+        yield Finding(
+            code,
+            "error",
+            f"{evidence.name(a, j)}, and {evidence.name(b, k)}, are one and the same frame, noise "
+            f"and all.{more}",
+        )
+
+
+QUESTION = Question(
+    key="same_frame",
+    order=20,
+    asks="Is a frame there twice?",
+    compares="the fingerprints of all frames, noise and all",
+    codes=("same_frame", "missing_background"),
+    ask=ask,
+)

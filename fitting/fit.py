@@ -25,7 +25,7 @@ from gonio.fitting.problem import losses
 from gonio.fitting.problem.losses import CHI2, Loss
 from gonio.fitting.problem.nuisance import NuisanceProblem
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
-from gonio.fitting.problem.problem import Weights
+from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.fitting.result import FitResult, NuisanceEstimate
 from gonio.fitting.uncertainty.at_minimum import uncertainties

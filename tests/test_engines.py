@@ -11,7 +11,7 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.minimise import minima
 from gonio.fitting.problem import losses
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 
@@ -35,7 +35,7 @@ def samples_of(name, n=600, noise=0.01, seed=1):
 
 @pytest.mark.parametrize("name", TRUTHS)
 def test_all_engines_find_one_minimum(name):
-    problem = Problem.from_samples(samples_of(name), models.get(name), threads=1)
+    problem = SingleProblem.from_samples(samples_of(name), models.get(name), threads=1)
     ends = {key: minima(problem, engines.get(key))[0] for key in engines.ENGINES}
     assert all(end.verified for end in ends.values())
     chi2 = np.array([end.chi2 for end in ends.values()])
@@ -56,7 +56,7 @@ def test_the_result_names_its_engine(engine):
 @pytest.mark.parametrize("engine", [name for name in engines.ENGINES if name != engines.DEFAULT])
 def test_an_engine_alone_comes_near_the_minimum(engine):
     """The Gauss-Newton steps that follow would hide an engine that does nothing."""
-    problem = Problem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
     best = minima(problem)[0]
     start = np.array([0.3, 0.05, 0.4, 0.4])
     p, evaluations = engines.get(engine)(problem, start)
@@ -73,7 +73,7 @@ def test_the_command_line_lists_the_engines_and_losses():
 
 
 def test_one_seed_is_one_search():
-    problem = Problem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
     start = np.array([0.3, 0.05, 0.4, 0.4])
     first, second = (engines.get("mlsl", seed=7)(problem, start) for _ in range(2))
     np.testing.assert_array_equal(first[0], second[0])

@@ -14,7 +14,7 @@ from gonio.fitting.diagnostics import next_measurement as mending
 from gonio.fitting.diagnostics import residual_report as residuals
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.minimise import minimise
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.residual_tests.groups import RINGS
 from gonio.fitting.uncertainty.information import information
 from gonio.fitting.uncertainty.profile_likelihood import profile
@@ -46,7 +46,7 @@ def noisy(name, truth, where, *, noise=0.01, seed=2, **columns):
 def fitted(samples, name, truth):
     """Problem and minimum, from the truth."""
     model = models.get(name)
-    problem = Problem.from_samples(samples, model)
+    problem = SingleProblem.from_samples(samples, model)
     start = np.array([truth.get(q.name, q.default) for q in model.parameters])
     return problem, minimise(problem, start, search=False)
 
@@ -123,7 +123,7 @@ def test_a_width_without_a_lobe_waits_for_the_lobe():
 def test_two_terms_of_one_shape_are_named():
     where = directions(100)
     model = models.get("lambert+lambert")
-    problem = Problem.from_samples(noisy("lambert", {"rho": 0.4}, where), model)
+    problem = SingleProblem.from_samples(noisy("lambert", {"rho": 0.4}, where), model)
     found = identify.identify(problem, minimise(problem, np.array([0.2, 0.2])), 1.0)
     first, second = (q.name for q in model.parameters)
     assert found.causes == (

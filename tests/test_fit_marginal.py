@@ -18,7 +18,8 @@ from gonio.fitting.posterior.density import WholeTarget
 from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior
 from gonio.fitting.posterior.proposal import SHARES, Proposal, pilot
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, Cells
@@ -116,7 +117,7 @@ def test_one_variable_far_in_its_tail():
 @pytest.mark.parametrize(("name", "n_linear"), [("ward", 2), ("minnaert", 1), ("oren_nayar", 0)])
 def test_the_sums_are_those_of_the_jacobian(name, n_linear):
     samples = noisy(name, {}, n=700)
-    problem = Problem.from_samples(samples, models.get(name), threads=1)
+    problem = SingleProblem.from_samples(samples, models.get(name), threads=1)
     mode = problem.vector({})
     flat = [Prior()] * len(mode)
     target = MarginalTarget(problem, mode, 1.0, flat, 0.01 * mode)
@@ -178,7 +179,7 @@ def test_cells_are_integrated_over_by_sums_and_by_factors(monkeypatch):
     many /= np.linalg.norm(many, axis=1, keepdims=True)
     cells = Cells(many, np.full(n * members, 1 / members), np.arange(n + 1) * members)
     samples = BRDFSamples(where, 0.1 + 0 * w_i[:, 0], u_independent=np.full(n, 0.01), cells=cells)
-    problem = Problem.from_samples(samples, models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(samples, models.get("ward"), threads=1)
     mode = problem.vector(WARD)
     exact = MarginalTarget(problem, mode, 1.0, [Prior()] * 4, 0.01 * mode)
     assert exact.exact
@@ -206,12 +207,12 @@ def test_at_the_foot_of_a_lobe_a_cell_is_not_known_by_its_middle(monkeypatch):
                   np.arange(n + 1) * members)  # fmt: skip
     mode = np.array([0.1, 0.2, 0.03, 0.03])
     samples = BRDFSamples(where, np.full(n, 0.1), u_independent=np.full(n, 1e-3), cells=cells)
-    problem = Problem.from_samples(samples, models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(samples, models.get("ward"), threads=1)
     value = problem.values(mode)
     middle = models.get("ward")(where, **dict(zip(WARD, mode, strict=True)))
     assert ((value - 0.1 / np.pi) > 1e3 * (middle - 0.1 / np.pi)).sum() > 10
     samples = replace(samples, value=value * 1.05)
-    problem = Problem.from_samples(samples, models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(samples, models.get("ward"), threads=1)
     fast = MarginalTarget(problem, mode, 1.0, [Prior()] * 4, 0.002 * mode)
     moved = mode + 0.002 * mode * np.random.default_rng(1).standard_normal((20, 4))
     exact = np.array([-0.5 * problem.chi2(p) for p in moved])
@@ -479,7 +480,7 @@ def test_a_file_that_cannot_be_written_whole_is_not_there(tmp_path, monkeypatch)
 
 def test_an_amplitude_with_a_sampled_prior_leaves_the_gaussian():
     samples = noisy("ward", WARD, n=100)
-    problem = Problem.from_samples(samples, models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(samples, models.get("ward"), threads=1)
     mode = problem.vector(WARD)
     mixed = [Prior(), replace(Prior(), kind="lognormal", centre=0.2, width=0.1), Prior(), Prior()]
     target = MarginalTarget(problem, mode, 1.0, mixed, 0.01 * mode)

@@ -14,7 +14,7 @@ from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.minimum.minimise import minima, minimise
 from gonio.fitting.minimum.optimum import better
 from gonio.fitting.minimum.variable_projection import scored
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 
@@ -61,7 +61,9 @@ SECOND_MINIMA = {"ggx"}
 def test_fifty_random_starts_of_fifty_reach_one_minimum(name):
     model = models.get(name)
     # Some are a thousand times slower than a closed formula.
-    problem = Problem.from_samples(noisy(name, n=40 if model.costly else 1000), model, threads=1)
+    problem = SingleProblem.from_samples(
+        noisy(name, n=40 if model.costly else 1000), model, threads=1
+    )
     rng = np.random.default_rng(2)
     some = [model.vector(random_start(model, rng)) for _ in range(50)]
     ends = [minimise(problem, start) for start in some]
@@ -102,7 +104,7 @@ def test_twenty_wards_of_twenty_come_back():
             "alpha_y": float(np.exp(rng.uniform(np.log(0.04), np.log(0.4)))),
         }
         samples = noisy("ward", n=4000, seed=100 + seed, **truth)
-        problem = Problem.from_samples(samples, models.get("ward"))
+        problem = SingleProblem.from_samples(samples, models.get("ward"))
         end = minima(problem)[0]
         assert end.verified
         np.testing.assert_allclose(end.p, list(truth.values()), rtol=0.05)
@@ -121,7 +123,7 @@ def test_several_lobes_are_found_without_a_start(name, truth):
     true = np.array(truth)
     f = model.evaluate(*where.vectors(), true)
     samples = BRDFSamples(where, f * (1 + 0.01 * np.random.default_rng(10).standard_normal(6000)))
-    problem = Problem.from_samples(samples, model)
+    problem = SingleProblem.from_samples(samples, model)
     end = minima(problem)[0]
     assert end.verified
     assert end.chi2 <= problem.chi2(true)
@@ -144,7 +146,7 @@ def test_the_search_for_a_start_is_bounded(monkeypatch):
     for name in ("ggx", "lambert+ward+ward+ward", "ggx+ggx"):
         asked.clear()
         where = directions(300, np.random.default_rng(1))
-        problem = Problem.from_samples(
+        problem = SingleProblem.from_samples(
             BRDFSamples(where, 0.1 + models.get("ward")(where)), models.get(name)
         )
         assert len(starting_values.candidates(problem, 2)) == 2
@@ -173,7 +175,7 @@ def test_no_more_light_is_reflected_than_comes():
     # The best point on the bound, found by another program.
     from scipy.optimize import minimize
 
-    problem = Problem.from_samples(BRDFSamples(where, f), models.get("ward_gmd"))
+    problem = SingleProblem.from_samples(BRDFSamples(where, f), models.get("ward_gmd"))
     other = minimize(
         lambda q: problem.chi2(np.array([1 - q[0], *q])), [0.3, 0.3, 0.3], method="Nelder-Mead",
         options={"xatol": 1e-9, "fatol": 1e-14, "maxiter": 4000},
@@ -196,7 +198,7 @@ def test_fit_from_given_starts_is_the_fit_from_the_data(name):
 
 def test_the_saddle_at_sigma_0_is_left():
     """f depends on sigma^2: its derivative vanishes at sigma = 0 whatever the data say."""
-    problem = Problem.from_samples(noisy("oren_nayar"), models.get("oren_nayar"), threads=1)
+    problem = SingleProblem.from_samples(noisy("oren_nayar"), models.get("oren_nayar"), threads=1)
     stuck = minimise(problem, np.array([0.7, 0.0]), search=False)
     end = minimise(problem, np.array([0.7, 0.0]))
     assert stuck.chi2 > 10 * end.chi2
@@ -204,7 +206,7 @@ def test_the_saddle_at_sigma_0_is_left():
 
 
 def test_a_lobe_switched_off_at_the_start_is_found():
-    problem = Problem.from_samples(noisy("ward"), models.get("ward"), threads=1)
+    problem = SingleProblem.from_samples(noisy("ward"), models.get("ward"), threads=1)
     end = minimise(problem, np.array([0.2, 0.0, 2.0, 0.005]))
     assert end.verified
     np.testing.assert_allclose(end.p, list(TRUTHS["ward"].values()), rtol=0.02)
@@ -222,7 +224,7 @@ def test_the_minimum_is_that_of_scipy():
 
     samples = noisy("ward", n=300)
     model = models.get("ward")
-    end = minimise(Problem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1]))
+    end = minimise(SingleProblem.from_samples(samples, model), np.array([0.1, 0.1, 0.1, 0.1]))
     w_i, w_r = samples.directions.vectors()
     found = least_squares(
         lambda p: samples.value - model.evaluate(w_i, w_r, p), [0.1, 0.1, 0.1, 0.1],
@@ -280,7 +282,7 @@ def test_the_derivatives_of_every_model_pass(name):
     model = models.get(name)
     rng = np.random.default_rng(5)
     where = directions(200, rng)
-    problem = Problem.from_samples(BRDFSamples(where, model(where) + 1e-3), model)
+    problem = SingleProblem.from_samples(BRDFSamples(where, model(where) + 1e-3), model)
     for point in ("default", "lower", "upper"):
         p = np.array([getattr(q, point) for q in model.parameters])
         assert gradient_faults(problem, p) == []
@@ -296,7 +298,7 @@ def test_an_unfinished_minimum_is_not_converged(monkeypatch):
 
 
 def test_the_deeper_of_two_minima_wins():
-    problem = Problem.from_samples(noisy("ward", n=100), models.get("ward"))
+    problem = SingleProblem.from_samples(noisy("ward", n=100), models.get("ward"))
     a = minimise(problem, np.array([0.1, 0.1, 0.1, 0.1]))
     deeper, same = replace(a, chi2=a.chi2 * 0.9, verified=False), replace(a, verified=False)
     assert better(a, deeper) is deeper
@@ -307,7 +309,7 @@ def test_the_deeper_of_two_minima_wins():
 
 def test_the_start_subset_does_not_miss_a_narrow_lobe():
     samples = noisy("ward", n=30_000, alpha_x=0.01, alpha_y=0.01)
-    problem = Problem.from_samples(samples, models.get("ward"))
+    problem = SingleProblem.from_samples(samples, models.get("ward"))
     subset = problem.subset(2000)
     assert 1900 < subset.n <= 2000
     assert subset.samples.value.max() == samples.value.max()

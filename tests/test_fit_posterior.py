@@ -24,7 +24,7 @@ from gonio.fitting.posterior.emcee_moves import IndependenceMove, SnookerMove
 from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior
 from gonio.fitting.posterior.proposal import SHARES, Proposal
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import Directions
 from gonio.models import Parameter
@@ -56,7 +56,7 @@ class Density(Target):
         parameters = tuple(
             Parameter(f"p{k}", "p", "", 0.0, a, b) for k, (a, b) in enumerate(bounds)
         )
-        problem = SimpleNamespace(parameters=parameters, sum_at_most_one=())
+        problem = SimpleNamespace(parameters=parameters, sum_limit=np.zeros(len(parameters)))
         super().__init__(problem, mode, 1.0, [Prior()] * len(parameters))
         self.log_density = log_density
 
@@ -114,7 +114,7 @@ def test_each_move_alone_leaves_a_gaussian_as_it_is(move):
 
 def test_a_linear_model_has_its_analytic_posterior(tmp_path):
     samples = noisy("lambert", {"rho": 0.4}, n=50)
-    problem = Problem.from_samples(samples, models.get("lambert"))
+    problem = SingleProblem.from_samples(samples, models.get("lambert"))
     result = gonio.fit(samples, model="lambert", posterior=True, draws=tmp_path / "draws.nc")
     assert result.ok
     mean = np.pi * samples.value.mean()
@@ -131,7 +131,7 @@ def test_a_linear_model_has_its_analytic_posterior(tmp_path):
 
 def test_draws_have_the_covariance_of_the_fit_where_the_noise_is_small():
     samples = noisy("ward_isotropic", ISOTROPIC, n=400, sd=2e-4)
-    problem = Problem.from_samples(samples, models.get("ward_isotropic"))
+    problem = SingleProblem.from_samples(samples, models.get("ward_isotropic"))
     optimum = minimise(problem, np.array(list(ISOTROPIC.values())))
     errors = uncertainty.evaluate(problem, optimum, 1.0)
     chain = posterior.sample(problem, optimum, errors, seed=1)
@@ -166,7 +166,7 @@ def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
     samples = noisy("lambert", {"rho": 0.4}, n=16_500, sd=5e-3)
 
     def chain(seed, threads):
-        problem = Problem.from_samples(samples, models.get("lambert"), threads=threads)
+        problem = SingleProblem.from_samples(samples, models.get("lambert"), threads=threads)
         optimum = minimise(problem, np.array([0.4]))
         errors = uncertainty.evaluate(problem, optimum, 1.0)
         return posterior.sample(problem, optimum, errors, seed=seed, max_steps=100)
@@ -307,7 +307,7 @@ def celled(sd, spread=0.02, n=400, members=4):
     f = models.get("ward_isotropic").evaluate(np.repeat(w_i, members, axis=0), many, p)
     value = f.reshape(n, members).mean(axis=1) + sd * rng.standard_normal(n)
     samples = BRDFSamples(where, value, u_independent=np.full(n, sd), cells=cells)
-    problem = Problem.from_samples(samples, models.get("ward_isotropic"))
+    problem = SingleProblem.from_samples(samples, models.get("ward_isotropic"))
     optimum = minimise(problem, p)
     return problem, optimum, uncertainty.evaluate(problem, optimum, 1.0)
 

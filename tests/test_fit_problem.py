@@ -8,7 +8,7 @@ import pytest
 import gonio
 from gonio import models
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, Cells
 
@@ -23,7 +23,9 @@ def directions(n, seed=1, theta_max=70):
 
 
 def problem_of(value, where, model="ward", weights=None, **columns):
-    return Problem.from_samples(BRDFSamples(where, value, **columns), models.get(model), weights)
+    return SingleProblem.from_samples(
+        BRDFSamples(where, value, **columns), models.get(model), weights
+    )
 
 
 def test_weights_are_what_their_names_say():
@@ -91,7 +93,7 @@ def test_results_do_not_depend_on_threads():
     p = np.array([0.2, 0.1, 0.1, 0.2])
     samples = BRDFSamples(where, value)
     one, two = (
-        Problem.from_samples(samples, models.get("ward"), threads=n).normal_equations(p)
+        SingleProblem.from_samples(samples, models.get("ward"), threads=n).normal_equations(p)
         for n in (1, 2)
     )
     for a, b in zip(one, two, strict=True):
@@ -113,7 +115,7 @@ def celled(n=60, seed=2, members=5, spread=0.05):
 
 def test_the_model_is_integrated_over_cells():
     samples, p = celled()
-    problem = Problem.from_samples(samples, models.get("ward"))
+    problem = SingleProblem.from_samples(samples, models.get("ward"))
     np.testing.assert_allclose(problem.values(p), samples.value, rtol=1e-12)
     result = gonio.fit(samples, model="ward")
     assert result.status == "converged"
@@ -123,7 +125,7 @@ def test_the_model_is_integrated_over_cells():
 
 def test_some_samples_keep_their_cells_and_weights():
     samples, p = celled()
-    problem = Problem.from_samples(samples, models.get("ward"), "coscos")
+    problem = SingleProblem.from_samples(samples, models.get("ward"), "coscos")
     index = np.array([3, 17, 40])
     part = problem.at(index)
     np.testing.assert_array_equal(part.values(p), problem.values(p)[index])

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 import gonio
 from gonio import models
 from gonio.fitting.minimum.minimise import minimise
-from gonio.fitting.problem.problem import Problem
 from gonio.fitting.problem.shared_change import _blurred
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.uncertainty.profile_likelihood import profile_limit
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
@@ -160,7 +160,9 @@ def test_a_shift_moves_the_parameters_as_a_refit_does():
 def test_a_blur_is_the_gaussian_blur_to_leading_order():
     sd = 0.01
     where = directions(60, theta_max=60)
-    problem = Problem.from_samples(BRDFSamples(where, np.ones(60)), models.get("ward_isotropic"))
+    problem = SingleProblem.from_samples(
+        BRDFSamples(where, np.ones(60)), models.get("ward_isotropic")
+    )
     p = np.array([0.3, 0.1, 0.15])
     quick = _blurred(problem, sd, p) - problem.values(p)
     # Gauss-Hermite quadrature over two tangents of the viewing direction.
@@ -322,6 +324,6 @@ def test_odd_data_never_give_nan(what, samples, name):
 
 def test_profile_of_an_unlimited_parameter_is_none():
     samples = BRDFSamples(directions(50), np.full(50, 1e-3), u_independent=np.full(50, 10.0))
-    problem = Problem.from_samples(samples, models.get("lambert"))
+    problem = SingleProblem.from_samples(samples, models.get("lambert"))
     end = minimise(problem, np.array([0.5]))
     assert profile_limit(problem, end, 0, 1.0, side=1) is None

@@ -16,7 +16,7 @@ from gonio.fitting.minimum.minimise import minimise, pinned_at
 from gonio.fitting.problem.channels import Channel, split
 from gonio.fitting.problem.joined_samples import joined
 from gonio.fitting.problem.joint import JointProblem
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result import FitResult
 from gonio.fitting.uncertainty.profile_likelihood import profile_limit
 from gonio.geometry import Directions
@@ -363,7 +363,7 @@ def test_a_misfit_that_all_channels_show_is_counted_once():
 
 def joint_problem(samples, share=("alpha",), model="ward_isotropic"):
     channels = split(samples)
-    problems = [Problem.from_samples(c.samples, models.get(model)) for c in channels]
+    problems = [SingleProblem.from_samples(c.samples, models.get(model)) for c in channels]
     return JointProblem.from_parts(channels, problems, share)
 
 

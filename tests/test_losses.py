@@ -9,7 +9,7 @@ import gonio
 from gonio import models
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.problem import losses
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
 
@@ -33,7 +33,7 @@ def test_the_slope_is_that_of_the_loss(name):
     directions = where(200)
     f = truth(directions)
     noise = 0.02 * np.random.default_rng(2).standard_normal(200)
-    problem = Problem.from_samples(
+    problem = SingleProblem.from_samples(
         BRDFSamples(directions, f * (1 + noise)), models.get(MODEL), loss=name
     )
     p = TRUE * 1.1
@@ -77,7 +77,9 @@ def test_noise_around_zero_keeps_its_sign_under_the_cube_root():
     directions = where(4000)
     y = truth(directions)
     y[::10] = 1e-3 * np.random.default_rng(3).standard_normal(400)
-    problem = Problem.from_samples(BRDFSamples(directions, y), models.get(MODEL), loss="cube_root")
+    problem = SingleProblem.from_samples(
+        BRDFSamples(directions, y), models.get(MODEL), loss="cube_root"
+    )
     assert np.all(np.isfinite(problem.normal_equations(TRUE)[1]))
 
 
@@ -133,7 +135,7 @@ def test_the_likelihood_of_students_t_is_that_of_scipy():
     directions = where(50)
     f = truth(directions)
     u = 0.03 * f
-    problem = Problem.from_samples(
+    problem = SingleProblem.from_samples(
         BRDFSamples(directions, 1.05 * f, u_independent=u), models.get(MODEL), loss="student_t"
     )
     points = np.array([TRUE, 0.9 * TRUE, 1.2 * TRUE])

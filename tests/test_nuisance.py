@@ -17,7 +17,7 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.problem.nuisance import NuisanceProblem
 from gonio.fitting.problem.nuisance_names import parse_names, profiled_terms
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result import FitResult, NuisanceEstimate
 from gonio.fitting.uncertainty.nuisance import PULL, pull_warnings
 from gonio.geometry import Directions, angles, rotated, unit_vectors
@@ -186,7 +186,7 @@ def test_the_parts_of_a_joint_fit_share_a_lamp():
 
 def test_the_inverse_covariance_is_the_dense_one():
     samples, _ = measured(n=120)
-    problem = NuisanceProblem.of(Problem.from_samples(samples, models.get("ward")), TERMS)
+    problem = NuisanceProblem.of(SingleProblem.from_samples(samples, models.get("ward")), TERMS)
     problem = problem.reweighted(TRUE).reweighted(TRUE)
     u = problem.basis.toarray()
     dense = np.diag(1 / problem.inverse_variance) + u @ u.T / problem.noise**2
@@ -541,7 +541,7 @@ def test_a_turn_takes_both_directions_along():
     term = SharedTerm("azimuth", "", turn=0.01)
     assert term.moves_directions
     samples = BRDFSamples(where, np.ones(len(w_i)), shared=(term,))
-    problem = Problem.from_samples(samples, models.get("ward"))
+    problem = SingleProblem.from_samples(samples, models.get("ward"))
     from gonio.fitting.problem.shared_change import shared_change
 
     change = shared_change(problem, term, TRUE, problem.values(TRUE))

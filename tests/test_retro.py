@@ -6,7 +6,7 @@ from virtual import Drawn, Remembered, images, small
 
 import gonio
 from gonio import models
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.metadata import Plan
 from gonio.samples import FLAG_ENTRY, BRDFSamples
 
@@ -36,7 +36,7 @@ def away(samples: BRDFSamples) -> np.ndarray:
 
 def model_values(samples: BRDFSamples) -> np.ndarray:
     chosen = models.get("oren_nayar")
-    return Problem.from_samples(samples, chosen).values(chosen.vector(DUSTY))
+    return SingleProblem.from_samples(samples, chosen).values(chosen.vector(DUSTY))
 
 
 def test_the_other_samples_do_not_depend_on_it(scene):

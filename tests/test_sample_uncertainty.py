@@ -12,7 +12,7 @@ import gonio
 from gonio import models
 from gonio.calibration.frames.exposure import Rate
 from gonio.calibration.frames.standard import brdf, reference, standard_brdf
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import angles
 from gonio.metadata import Plan
 from gonio.samples import BRDFSamples
@@ -162,7 +162,7 @@ def test_room_light_on_the_sample_is_what_its_term_says():
     ward = models.get("ward")
     (term,) = (term for term in samples.shared if term.name == "room light")
     change = term.change(samples.value)
-    off = samples.value - Problem.from_samples(samples, ward).values(ward.vector(lobe))
+    off = samples.value - SingleProblem.from_samples(samples, ward).values(ward.vector(lobe))
     noise = samples.u_independent
     # In the lobe, which room light from everywhere fills up less than the standard:
     peak = (change < 0) & (np.abs(change) > noise)

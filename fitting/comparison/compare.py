@@ -16,7 +16,7 @@ from gonio.fitting.comparison.ranking import (
 from gonio.fitting.comparison.records import Comparison
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.record import MISFIT, Minimum
-from gonio.fitting.problem.problem import Weights
+from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.models import Model
 from gonio.models import get as get_model

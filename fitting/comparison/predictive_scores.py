@@ -18,7 +18,7 @@ from gonio.fitting.minimum import curvature
 from gonio.fitting.minimum.gauss_newton import UNDETERMINED
 from gonio.fitting.minimum.minimise import minimise, pinned_at
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray
 

@@ -38,7 +38,7 @@ def judged(
     problem, optimum = minimum.problem, minimum.optimum
     common = reference.problem.inverse_variance
     if not np.array_equal(problem.inverse_variance, common):
-        problem = replace(problem, inverse_variance=common)
+        problem = problem.with_weights(common)
         optimum = minimise(problem, optimum.p, search=False)
     minimum = replace(minimum, problem=problem, optimum=optimum)
     errors, undetected = uncertainties(problem, optimum, reference.noise_scale)

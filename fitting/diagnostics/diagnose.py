@@ -13,7 +13,7 @@ from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.problem.copies import (
     copies_warning,
 )
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 
 
 def diagnose(

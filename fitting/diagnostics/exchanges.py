@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.diagnostics.next_measurement import facts
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
 

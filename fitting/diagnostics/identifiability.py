@@ -18,7 +18,7 @@ from gonio.fitting.diagnostics.exchanges import (
 from gonio.fitting.diagnostics.next_measurement import Mending, mend
 from gonio.fitting.minimum import curvature
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.result import plain
 from gonio.fitting.uncertainty.information import information
@@ -125,7 +125,7 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
     >>> from gonio.models import get
     >>> from gonio.samples import BRDFSamples
     >>> samples = BRDFSamples(Directions(0.3, 0.0, np.linspace(0, 1.2, 20), 0.0), np.full(20, 0.1))
-    >>> problem = Problem.from_samples(samples, get("lambert"))
+    >>> problem = SingleProblem.from_samples(samples, get("lambert"))
     >>> identify(problem, minimise(problem, np.array([0.5])), 0.01).not_identified
     ()
     """
@@ -232,9 +232,9 @@ def _bounds(
     index = _known(free, missing)
     if noise_scale <= 0 or len(index) == 0 or len(problem.pieces()) > 1:
         return bounds
-    problem = getattr(problem, "base", problem)  # shared errors are marginalised here
-    # Of many samples some stand for all, each with the information of several.
-    some = thinned(problem, MOST)
+    # Shared errors are marginalised here, none is profiled. Of many samples some stand for all,
+    # each with the information of several.
+    some = thinned(problem.independent, MOST)
     found = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
     for k, v in zip(index.tolist(), np.diag(curvature.inverse(found, index)), strict=True):
         q = problem.parameters[k]

@@ -9,10 +9,9 @@ import numpy as np
 
 from gonio.fitting.minimum.curvature import TAKES_PART, axes
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
 from gonio.kernels.boxed import UNDETERMINED
-from gonio.samples import BRDFSamples
 
 INCIDENCES_DEG = (30, 40, 50, 20, 60, 10, 0, 70, 80)  # the easiest to measure first
 ROTATIONS_DEG = (0, 45, 90)
@@ -72,7 +71,7 @@ def mend(
     noise_scale : float
         Factor on the independent uncertainties; 0 where unknown.
     """
-    if len(problem.pieces()) > 1:
+    if len(problem.independent.pieces()) > 1:
         return None  # the parts of a joint fit have their own directions
     isotropic = problem.model.claims.isotropic
     kinds = list(_kinds(isotropic))
@@ -83,9 +82,7 @@ def mend(
     w_i = np.repeat([unit_vectors(i, base + r) for i, r, _ in kinds], counts, axis=0)
     theta_r, phi_r = (np.concatenate([block[k] for block in blocks]) for k in (0, 1))
     theta_i, phi_i = angles(w_i)
-    samples = BRDFSamples(Directions(theta_i, phi_i, theta_r, phi_r), np.zeros(len(theta_r)))
-    candidates = Problem.from_samples(samples, problem.model, "none", problem.threads)
-    f, jacobian = candidates.jacobian(optimum.p)
+    f, jacobian = problem.model_at(Directions(theta_i, phi_i, theta_r, phi_r), optimum.p)
     u = _noise(problem, optimum.p, f, noise_scale)
     now = optimum.curvature / (noise_scale or 1.0) ** 2
     free = np.flatnonzero(optimum.free)

@@ -11,8 +11,8 @@ from gonio.fitting.minimum.joint import JointMinimum
 from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.problem.channels import Channel
-from gonio.fitting.problem.joint import JointProblem, base_name, parameter_of_part
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.joint import JointProblem, base_name
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.result import PartFit, Sharing
 from gonio.fitting.uncertainty.correlated_parts import (
     mean_correlation,
@@ -57,7 +57,7 @@ def _part_fits(
         found.append(
             PartFit(
                 name=channel.label,
-                parameters={q: parameter_of_part(problem, k, q) for q in problem.model.names},
+                parameters=problem.names_of_part(k),
                 alone=pairs,
                 chi2=_chi2(part, optimum.p[place], factor),
                 dof=part.n - n_own,

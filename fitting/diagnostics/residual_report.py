@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_columns import shared_columns, thinned
 from gonio.fitting.residual_tests.chi_squared import chi_squared_test
 from gonio.fitting.residual_tests.groups import (
@@ -200,7 +200,7 @@ def examine(problem: Problem, optimum: Optimum) -> ResidualReport:
     >>> theta = np.linspace(0, 1.2, 200)
     >>> noise = 0.01 * np.random.default_rng(1).standard_normal(200)
     >>> samples = BRDFSamples(Directions(0.3, 0.0, theta, np.pi), 0.1 + noise)
-    >>> problem = Problem.from_samples(samples, get("lambert"))
+    >>> problem = SingleProblem.from_samples(samples, get("lambert"))
     >>> examine(problem, minimise(problem, np.array([0.5]))).structured
     False
     """

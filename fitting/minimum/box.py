@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 
@@ -18,7 +18,7 @@ class Box:
     ----------
     lower, upper : ndarray, shape (P,)
     c : ndarray, shape (P,)
-        1 for the parameters whose sum is at most 1; all 0 where there is no limit.
+        Coefficients of the limit c . p <= 1; all 0 where there is none.
     """
 
     lower: FloatArray
@@ -29,10 +29,8 @@ class Box:
     def of(cls, problem: Problem) -> Box:
         """The box of a problem's parameters."""
         parameters = problem.parameters
-        c = np.zeros(len(parameters))
-        c[list(problem.sum_at_most_one)] = 1.0
         lower = np.array([q.lower for q in parameters])
-        return cls(lower, np.array([q.upper for q in parameters]), c)
+        return cls(lower, np.array([q.upper for q in parameters]), problem.sum_limit)
 
     def inside(self, p: FloatArray) -> FloatArray:
         """The point moved into the bounds, then towards the lower ones until the sum fits.

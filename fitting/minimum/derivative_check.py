@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gonio.fitting.minimum import starting_values
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 SAME_GRADIENT = 1e-3  # of the largest derivative: agreement with a difference quotient

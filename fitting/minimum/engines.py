@@ -19,7 +19,7 @@ from gonio.fitting.minimum import starting_values
 from gonio.fitting.minimum.box import Box
 from gonio.fitting.minimum.minimise import Engine
 from gonio.fitting.minimum.variable_projection import scored
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.models import Parameter
 

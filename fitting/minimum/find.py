@@ -13,7 +13,8 @@ from gonio.fitting.minimum.record import Minimum, goodness
 from gonio.fitting.minimum.rivals import place, rival
 from gonio.fitting.problem.copies import usable
 from gonio.fitting.problem.losses import CHI2
-from gonio.fitting.problem.problem import Problem, Weights
+from gonio.fitting.problem.protocol import Problem, Weights
+from gonio.fitting.problem.single import SingleProblem
 from gonio.models import Model
 from gonio.samples import BRDFSamples
 
@@ -34,7 +35,7 @@ def find_minimum(
 
     `engine` is what `engines.get` gives.
     """
-    problem = Problem.from_samples(usable(samples), model, weights, threads, loss)
+    problem = SingleProblem.from_samples(usable(samples), model, weights, threads, loss)
     problem, optimum, doubts = _find(problem, start, engine)
     faults = gradient_faults(problem, optimum.p)
     return Minimum(problem, optimum, doubts, faults, *goodness(problem, optimum))
@@ -58,7 +59,7 @@ def _find(
             )
     problem, optimum = settled(problem, found[0])
     for other in found[1:]:
-        if problem.settles:
+        if problem.weights_follow_model:
             other = minimise(problem, other.p, search=False)
         deepest = better(optimum, other)
         doubts += rival(problem, deepest, optimum if deepest is other else other)
@@ -72,7 +73,7 @@ def _find(
 
 def settled(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     """Weights from the model's values need the model first: a few rounds settle them."""
-    if problem.settles:
+    if problem.weights_follow_model:
         for _ in range(SCALE_ROUNDS if problem.finds_scale else 2):
             problem = problem.reweighted(optimum.p)
             optimum = minimise(problem, optimum.p, near=True)

@@ -10,7 +10,7 @@ import numpy as np
 from gonio.fitting.minimum.box import Box
 from gonio.fitting.minimum.curvature import TAKES_PART, axes, within_sum
 from gonio.fitting.minimum.optimum import DEEPER, Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.kernels import boxed
 from gonio.kernels.boxed import next_point

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.models import Parameter
 

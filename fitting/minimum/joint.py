@@ -18,8 +18,8 @@ from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.record import Minimum, goodness
 from gonio.fitting.minimum.rivals import rival
 from gonio.fitting.problem.channels import Channel, Source, split
-from gonio.fitting.problem.joint import JointProblem, parameter_of_part
-from gonio.fitting.problem.problem import Weights
+from gonio.fitting.problem.joint import JointProblem
+from gonio.fitting.problem.protocol import Weights
 from gonio.models import Model
 
 EXACT = 1e-6  # of the values: residuals that are no noise, but must not weigh infinitely
@@ -91,7 +91,7 @@ def find_joint_minimum(
     )
     problem, optimum, doubts = _find(problem, alone, start)
     faults = [
-        parameter_of_part(problem, k, name)
+        problem.names_of_part(k)[name]
         for k, (part, _, place) in enumerate(problem.pieces())
         for name in gradient_faults(part, optimum.p[place])
     ]
@@ -174,8 +174,7 @@ def _find(
 
 def _settled(problem: JointProblem, optimum: Optimum) -> tuple[JointProblem, Optimum]:
     """Weights taken at the model's values, as in a fit of one BRDF."""
-    slopes = [part.samples.noise_slope is not None for part in problem.parts]
-    if problem.weights == "sd" and any(slopes):
+    if problem.weights_follow_model:
         for _ in range(2):
             problem = problem.reweighted(optimum.p)
             optimum = minimise(problem, optimum.p, search=False)

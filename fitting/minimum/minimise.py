@@ -15,7 +15,7 @@ from gonio.fitting.minimum.gauss_newton import (
 )
 from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.variable_projection import amplitudes_solved
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 STARTS = 2  # starting values that are followed to their minimum,

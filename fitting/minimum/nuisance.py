@@ -10,7 +10,7 @@ import numpy as np
 from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.problem.nuisance import NuisanceProblem
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 
 ROUNDS = 12  # of new weights, draws and parameters
 SETTLED = 1e-3  # of the uncertainties: a last round that moves less ends them

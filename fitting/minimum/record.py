@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.result import PartFit, Sharing
 
 MISFIT = 1.5  # chi2/dof above which the model, not the noise, decides the residuals

@@ -7,7 +7,7 @@ import numpy as np
 from gonio.fitting.minimum import starting_values
 from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.minimum.record import CHI2_95, goodness
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 
 
 def rival(problem: Problem, optimum: Optimum, other: Optimum) -> list[str]:

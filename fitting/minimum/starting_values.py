@@ -7,8 +7,6 @@ pass over a few samples gives their best values between the bounds at each point
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +17,7 @@ from gonio.fitting.minimum.grids import (
     grid_size,
 )
 from gonio.fitting.minimum.variable_projection import scored
-from gonio.fitting.problem.losses import CHI2
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 SUBSET = 2000  # samples that choose among the starting values
@@ -41,7 +38,7 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
     coarse = problem.subset(SUBSET)
     if not coarse.quadratic:
         # Amplitudes are solved for in chi-squared, whatever is fitted then.
-        coarse = replace(coarse, loss=CHI2.name)
+        coarse = coarse.as_least_squares()
     few = _few(coarse)
     box = Box.of(problem)
     groups = _groups(problem)

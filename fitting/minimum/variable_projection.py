@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gonio.fitting.minimum.box import Box
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import solve_amplitudes
 

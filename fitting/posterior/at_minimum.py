@@ -16,7 +16,6 @@ from gonio.fitting.minimum.rivals import place
 from gonio.fitting.posterior import sample as posteriors
 from gonio.fitting.posterior.chain import Chain, Progress, Sampler
 from gonio.fitting.posterior.priors import Prior, resolve
-from gonio.fitting.problem.problem import Problem
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 
 RESTARTS = 2  # times that a posterior may lead to a deeper minimum
@@ -66,7 +65,7 @@ def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
     other = minimise(problem, best, search=False)
     if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * found.noise_scale**2:
         return None
-    if type(problem) is not Problem:
+    if found.parts or problem.profiled:
         told = "the posterior holds a deeper minimum, which the search did not find."
         return replace(
             found, optimum=replace(optimum, verified=False), doubts=[*found.doubts, told]

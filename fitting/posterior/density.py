@@ -20,7 +20,7 @@ import numpy as np
 
 from gonio.fitting.posterior import truncated_normal
 from gonio.fitting.posterior.priors import Prior
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 RIDGE = 1e-4  # a prior sd of 10^4 ranges where the data say nothing of an amplitude
@@ -61,8 +61,9 @@ class Target(ABC):
         self.upper = np.array([q.upper for q in parameters])
         self.exact = True  # the likelihood integrates over every cell
         # Amplitudes whose sum is limited are sampled: the Gaussian is integrated over a box.
-        limited = np.array(problem.sum_at_most_one, np.int64)
+        limited = np.flatnonzero(problem.sum_limit)
         self.limited = limited if np.isin(limited, self.sampled).all() else limited[:0]
+        self.limit = problem.sum_limit[self.limited]
         self.log = np.array([parameters[j].scale == "log" for j in self.sampled], bool)
         self.x_lower = self.coordinates(self.lower)
         self.x_upper = self.coordinates(self.upper)
@@ -95,7 +96,7 @@ class Target(ABC):
         if inside.any():
             p = self.parameters(x[inside])
             found = self.sums(p)
-            possible = p[:, self.limited].sum(axis=1) <= 1
+            possible = (p[:, self.limited] * self.limit).sum(axis=1) <= 1
             value = self._log_integral(found)
             value += np.sum(x[inside][:, self.log], axis=1)  # dp = p dx
             for j in self.sampled:

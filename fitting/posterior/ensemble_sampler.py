@@ -98,6 +98,6 @@ def _start(
     limited = np.isin(target.sampled, target.limited)
     if limited.any():
         # A walker that starts where nothing is allowed has no density to go on from.
-        total = places[:, limited].sum(axis=1, keepdims=True)
+        total = (places[:, limited] * target.limit).sum(axis=1, keepdims=True)
         places[:, limited] /= np.where(total > 1, total * (1 + 0.01 * rng.random(total.shape)), 1)
     return places

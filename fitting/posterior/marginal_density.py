@@ -10,7 +10,7 @@ from gonio.fitting.posterior.density import (
     Target,
 )
 from gonio.fitting.posterior.priors import Prior
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.kernels import map_blocks, moment_loops_for
 
@@ -41,13 +41,19 @@ class MarginalTarget(Target):
         *,
         amplitudes: int = AMPLITUDES,
     ) -> None:
+        kernel = problem.kernel_parameters
+        assert kernel is not None, "one model with independent noise and chi-squared"
         flagged = [
             j for j, q in enumerate(problem.parameters)
-            if q.linear and priors[j].gaussian is not None
+            if q.linear and priors[j].gaussian is not None and kernel.argument(j) is not None
         ]  # fmt: skip
         super().__init__(problem, mode, scale, priors, flagged[:amplitudes])
         model = problem.model
-        self.loops = moment_loops_for(model.kernel, len(mode), tuple(map(int, self.linear)))
+        self.kernel = kernel
+        self.arguments = np.array([kernel.argument(j) for j in self.linear], np.int64)
+        self.loops = moment_loops_for(
+            model.kernel, len(kernel.source), tuple(map(int, self.arguments))
+        )
         self.plain = problem.samples.cells is None
         self.exact = self.plain or len(problem.cells.weight) <= EXACT_MEMBERS
         self.w_r = self._directions()
@@ -72,7 +78,10 @@ class MarginalTarget(Target):
         cells = problem.cells
         counts = np.diff(cells.offsets)
         f = problem.model.evaluate(
-            np.repeat(problem.w_i, counts, axis=0), cells.w_r, self.mode, threads=problem.threads
+            np.repeat(problem.w_i, counts, axis=0),
+            cells.w_r,
+            self.kernel.expanded(self.mode),
+            threads=problem.threads,
         )
         largest = np.repeat(np.maximum.reduceat(f, cells.offsets[:-1]), counts)
         owner = np.repeat(np.arange(problem.n), counts)
@@ -86,32 +95,34 @@ class MarginalTarget(Target):
         pieces = [(k, v) for k in range(len(self.blocks)) for v in range(0, len(p), VECTORS)]
         parts = np.empty((len(self.blocks), len(p), self.n_sums))
         batch = np.ascontiguousarray(p)
+        arguments = np.ascontiguousarray(self.kernel.expanded(batch))
 
         def run(first: int, last: int) -> None:
             for k, v in pieces[first:last]:
-                self._piece(k, batch[v : v + VECTORS], parts[k, v : v + VECTORS])
+                rows = slice(v, v + VECTORS)
+                self._piece(k, batch[rows], arguments[rows], parts[k, rows])
 
         # Starting threads takes longer than a few walkers on a few samples.
         small = problem.n * len(p) < 200_000
         map_blocks(run, len(pieces), threads=1 if small else problem.threads, block=1)
         return np.asarray(parts.sum(axis=0))
 
-    def _piece(self, k: int, batch: FloatArray, out: FloatArray) -> None:
+    def _piece(self, k: int, batch: FloatArray, arguments: FloatArray, out: FloatArray) -> None:
         problem = self.problem
         a, b = self.blocks[k]
         value, weight = problem.samples.value[a:b], problem.inverse_variance[a:b]
         if self.plain:
-            self.loops.moments(self.components[k], value, weight, batch, out)
+            self.loops.moments(self.components[k], value, weight, arguments, out)
         elif self.exact:
             c = problem.cells
             self.loops.cell_moments(
-                problem.w_i, c.w_r, c.weight, c.offsets, a, value, weight, batch, out
+                problem.w_i, c.w_r, c.weight, c.offsets, a, value, weight, arguments, out
             )
         else:
             steps = batch[:, self.sampled] - self.mode[self.sampled]
             self.loops.factored_moments(
                 self.components[k], self.factors[k], np.clip(steps, -self.reach, self.reach),
-                self.linear, value, weight, batch, out,
+                self.arguments, value, weight, arguments, out,
             )  # fmt: skip
 
     def _factors(self, spread: FloatArray) -> FloatArray:
@@ -130,10 +141,16 @@ class MarginalTarget(Target):
     def _ratio(self, p: FloatArray) -> FloatArray:
         """Cell over centre of what stays without the amplitudes, and by amplitude, (1 + L, N)."""
         problem = self.problem
-        at_centre = problem.model.gradient(problem.w_i, self.w_r, p, threads=problem.threads)
+        arguments = self.kernel.expanded(p)
+        centre_f, slopes = problem.model.gradient(
+            problem.w_i, self.w_r, arguments, threads=problem.threads
+        )
+        cell_f, jac = problem.jacobian(p)
         parts = []
-        for f, jac in (at_centre, problem.jacobian(p)):
-            amplitudes = jac[:, self.linear].T
+        for f, amplitudes in (
+            (centre_f, slopes[:, self.arguments].T),
+            (cell_f, jac[:, self.linear].T),
+        ):
             rest = f - p[self.linear] @ amplitudes
             # What is left by rounding is nothing.
             rest[np.abs(rest) < 1e-12 * np.abs(f)] = 0.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gonio.files import atomic_path
 from gonio.fitting.posterior.chain import Chain
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 MAX_DRAWS = 200

@@ -22,7 +22,7 @@ from gonio.fitting.posterior.chain import Chain, Progress, Sampler
 from gonio.fitting.posterior.density import TOLERANCE, Target, WholeTarget
 from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior, resolve
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty.covariance import Uncertainty
 from gonio.geometry import FloatArray
 
@@ -69,8 +69,8 @@ def sample(
     rng = np.random.default_rng(seed)
     priors = resolve(problem.parameters) if priors is None else tuple(priors)
     root = _proposal_root(problem, optimum, errors)
-    plain = _is_plain(problem)
-    if sampler == "marginal" and not plain:
+    marginal = problem.kernel_parameters is not None
+    if sampler == "marginal" and not marginal:
         raise ConfigurationError(
             "sampler 'marginal' needs one model with independent noise and the loss chi2, and "
             f"{problem.name} is more than that; use auto or emcee.",
@@ -78,7 +78,7 @@ def sample(
         )
 
     def target(*, whole: bool) -> Target:
-        if not plain:
+        if not marginal:
             return WholeTarget(problem, optimum.p, errors.noise_scale, priors)
         spread = np.sqrt(np.sum(root**2, axis=1))
         built = MarginalTarget(problem, optimum.p, errors.noise_scale, priors, spread)
@@ -90,7 +90,7 @@ def sample(
         return built
 
     k_hat, note, notes = None, "", []
-    if not plain:
+    if not marginal:
         note = "the problem is not one model with independent noise and squared residuals"
     elif sampler == "emcee":
         note = "emcee was asked for"
@@ -112,16 +112,12 @@ def sample(
     return _moved(problem, chain, errors, rng)
 
 
-def _is_plain(problem: Problem) -> bool:
-    """Whether this is one model with independent noise whose squared residuals are summed."""
-    return type(problem) is Problem and problem.quadratic
-
-
 def _sum_is_near(problem: Problem, mode: FloatArray, root: FloatArray) -> bool:
     """Whether the limit on the sum of the reflectances cuts the posterior."""
-    limited = list(problem.sum_at_most_one)
-    sd = float(np.linalg.norm(root[limited].sum(axis=0)))
-    return bool(limited) and float(mode[limited].sum()) + NEAR_SUM * sd > 1
+    c = problem.sum_limit
+    limited = np.flatnonzero(c)
+    sd = float(np.linalg.norm((root[limited] * c[limited, None]).sum(axis=0)))
+    return len(limited) > 0 and float((mode[limited] * c[limited]).sum()) + NEAR_SUM * sd > 1
 
 
 def _checked(
@@ -193,7 +189,9 @@ def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.G
     lower = [q.lower for q in problem.parameters]
     upper = [q.upper for q in problem.parameters]
     draws = np.clip(draws, lower, upper)
-    limited = list(problem.sum_at_most_one)
-    if limited:
-        draws[..., limited] /= np.maximum(draws[..., limited].sum(axis=-1, keepdims=True), 1.0)
+    c = problem.sum_limit
+    limited = np.flatnonzero(c)
+    if len(limited):
+        total = (draws[..., limited] * c[limited]).sum(axis=-1, keepdims=True)
+        draws[..., limited] /= np.maximum(total, 1.0)
     return replace(chain, draws=draws)

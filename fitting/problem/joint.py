@@ -3,51 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import unknown_name
-from gonio.fitting.problem.channels import (
-    Channel,
-)
-from gonio.fitting.problem.joined_samples import (
-    cells_within,
-    joined,
-    joined_cells,
-)
-from gonio.fitting.problem.problem import Problem
-from gonio.geometry import FloatArray
+from gonio.fitting.problem import by_jacobian, unknowns
+from gonio.fitting.problem.channels import Channel
+from gonio.fitting.problem.joined_samples import cells_within, joined, joined_cells
+from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.penalised import PenalisedProblem
+from gonio.fitting.problem.protocol import Problem, Weights
+from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.unknowns import KernelParameters, Reported
+from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells
 
 
 @dataclass(frozen=True)
-class JointProblem(Problem):
+class JointProblem:
     """Several problems of one model as one: some parameters are shared, the others each part's own.
 
-    It answers what `Problem` answers. Samples, weights and cells are those of the parts one after
-    the other; parameters are the shared ones, then those of part after part, named `rho_d[red]`.
+    See `Problem` for what it answers. Samples, weights and cells are those of the parts one after
+    the other; unknowns are the shared ones, then those of part after part, named `rho_d[red]`.
 
     Parameters
     ----------
+    samples : BRDFSamples
+        Of all parts, with the errors that they share.
     parts : tuple of Problem
-        With weights divided by the square of `scales`.
+        Each over one BRDF, with weights divided by the square of `scales`.
     labels : tuple of str
     places : tuple of ndarray of int64
-        Where each part's parameters stand among all.
-    all_parameters : tuple of Parameter
+        Where each part's unknowns stand among all.
+    parameters : tuple of Parameter
+    reported : tuple of Reported
     scales : tuple of float
         Factor on the independent uncertainties of each part.
+    cells : Cells
+        Of all samples, as they are stated.
     """
 
-    parts: tuple[Problem, ...] = ()
-    labels: tuple[str, ...] = ()
-    places: tuple[NDArray[np.int64], ...] = ()
-    all_parameters: tuple[Parameter, ...] = ()
-    scales: tuple[float, ...] = ()
+    samples: BRDFSamples
+    parts: tuple[Problem, ...]
+    labels: tuple[str, ...]
+    places: tuple[NDArray[np.int64], ...]
+    parameters: tuple[Parameter, ...]
+    reported: tuple[Reported, ...]
+    scales: tuple[float, ...]
+    cells: Cells
 
     @classmethod
     def from_parts(
@@ -78,45 +86,100 @@ class JointProblem(Problem):
         for name in share:
             first.model.parameter(name)
         labels = tuple(channel.label for channel in channels)
-        parameters, places = _named_parameters(first.model, labels, share)
-        base = replace(
-            first,
+        parameters, places = _named_parameters(first, labels, share)
+        joint = cls(
             samples=joined(channels),
-            inverse_variance=np.concatenate([problem.inverse_variance for problem in problems]),
-            w_i=np.concatenate([problem.w_i for problem in problems]),
-            cells=joined_cells([problem.cells for problem in problems]),
-        )
-        plain = cls(
-            **{item.name: getattr(base, item.name) for item in fields(base)},
             parts=tuple(problems),
             labels=labels,
             places=places,
-            all_parameters=parameters,
+            parameters=parameters,
+            reported=_reported(first, labels, parameters, places),
             scales=(1.0,) * len(labels),
+            cells=joined_cells([problem.cells for problem in problems]),
         )
-        return plain if scales is None else plain.scaled(scales)
+        return joint if scales is None else joint.scaled(scales)
 
     def scaled(self, scales: Sequence[float]) -> JointProblem:
         """The problem with other factors on the independent uncertainties of its parts."""
         parts = tuple(
-            replace(part, inverse_variance=part.inverse_variance * (old / new) ** 2)
+            part.with_weights(part.inverse_variance * (old / new) ** 2)
             for part, old, new in zip(self.parts, self.scales, scales, strict=True)
         )
-        return self._with(parts, tuple(float(s) for s in scales))
+        return replace(self, parts=parts, scales=tuple(float(s) for s in scales))
 
-    def _with(self, parts: tuple[Problem, ...], scales: tuple[float, ...]) -> JointProblem:
-        weights = np.concatenate([part.inverse_variance for part in parts])
-        return replace(self, parts=parts, scales=scales, inverse_variance=weights)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Shared parameters, then those of part after part."""
-        return self.all_parameters
+    def names_of_part(self, k: int) -> dict[str, str]:
+        """Name among all parameters of each of the model's, in part k."""
+        names = {r.parameter.name for r in self.reported}
+        own = {q: f"{q}[{self.labels[k]}]" for q in self.model.names}
+        return {q: name if name in names else q for q, name in own.items()}
 
     @property
-    def plain(self) -> bool:
-        """Whether the samples are points and not cells."""
-        return all(part.plain for part in self.parts)
+    def model(self) -> Model:
+        return self.parts[0].model
+
+    @property
+    def name(self) -> str:
+        return self.model.name
+
+    @property
+    def n(self) -> int:
+        return len(self.samples)
+
+    @property
+    def weights(self) -> Weights:
+        return self.parts[0].weights
+
+    @property
+    def law(self) -> Loss:
+        return self.parts[0].law
+
+    @property
+    def threads(self) -> int | None:
+        return self.parts[0].threads
+
+    @cached_property
+    def inverse_variance(self) -> FloatArray:
+        return np.concatenate([part.inverse_variance for part in self.parts])
+
+    @cached_property
+    def w_i(self) -> FloatArray:
+        return np.concatenate([part.w_i for part in self.parts])
+
+    @property
+    def cos_theta_r(self) -> FloatArray:
+        return np.concatenate([part.cos_theta_r for part in self.parts])
+
+    @property
+    def quadratic(self) -> bool:
+        return all(part.quadratic for part in self.parts)
+
+    @property
+    def finds_scale(self) -> bool:
+        return any(part.finds_scale for part in self.parts)
+
+    @property
+    def weights_follow_model(self) -> bool:
+        return any(part.weights_follow_model for part in self.parts)
+
+    @property
+    def sum_limit(self) -> FloatArray:
+        return unknowns.sum_limit(self.model, self.parameters)
+
+    @property
+    def terms_of_sum(self) -> list[tuple[str, NDArray[np.int64]]]:
+        return unknowns.terms_of_sum(self.model, self.parameters)
+
+    @property
+    def kernel_parameters(self) -> KernelParameters | None:
+        return None
+
+    @property
+    def independent(self) -> JointProblem:
+        return self
+
+    @property
+    def profiled(self) -> tuple[str, ...]:
+        return ()
 
     @property
     def slices(self) -> list[slice]:
@@ -125,107 +188,75 @@ class JointProblem(Problem):
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Checked parameter vector; `rho_d` stands for every part's that is not named itself."""
-        names = [q.name for q in self.all_parameters]
+        """Checked vector of the unknowns; `rho_d` stands for every part's not named itself."""
+        names = [q.name for q in self.parameters]
         for name in values:
             if name not in names and name not in self.model.names:
                 raise unknown_name(f"parameter of {self.name}", name, {*names, *self.model.names})
         return np.array(
             [
                 q.check(values.get(q.name, values.get(base_name(q.name), q.default)))
-                for q in self.all_parameters
+                for q in self.parameters
             ]
         )
+
+    # ------------------------------------------------------------------ problems made from this one
 
     def with_parameters(self, parameters: tuple[Parameter, ...]) -> JointProblem:
-        """The problem with other bounds of its parameters."""
-        return replace(self, all_parameters=parameters)
+        return replace(self, parameters=parameters)
 
-    def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
-        """Variance of each sample, with the parts' factors; as `Problem.variance`."""
-        return np.concatenate(
-            [
-                scale**2 * part.variance(None if f is None else f[where], sharing=sharing)
-                for part, where, scale in zip(self.parts, self.slices, self.scales, strict=True)
-            ]
-        )
+    def with_weights(self, inverse_variance: FloatArray) -> JointProblem:
+        pairs = zip(self.parts, self.slices, strict=True)
+        parts = tuple(part.with_weights(inverse_variance[where]) for part, where in pairs)
+        return replace(self, parts=parts)
+
+    def as_least_squares(self) -> JointProblem:
+        return replace(self, parts=tuple(part.as_least_squares() for part in self.parts))
 
     def reweighted(self, p: FloatArray | None) -> JointProblem:
-        """The problem with its weights taken at the model's values for p."""
         parts = []
         for part, place, scale in zip(self.parts, self.places, self.scales, strict=True):
             new = part.reweighted(None if p is None else p[place])
-            parts.append(replace(new, inverse_variance=new.inverse_variance / scale**2))
-        return self._with(tuple(parts), self.scales)
+            parts.append(new.with_weights(new.inverse_variance / scale**2))
+        return replace(self, parts=tuple(parts))
 
-    def values(self, p: FloatArray, cells: Cells | None = None) -> FloatArray:
-        """The model integrated over every cell, shape (N,), sr^-1."""
-        out = np.empty(self.n)
-        for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
-            own = None if cells is None else cells_within(cells, where)
-            out[where] = part.values(p[place], own)
-        return out
-
-    def jacobian(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Model values (N,) and their derivatives (N, parameters): mostly zeros, see `pieces`."""
-        f, jac = np.empty(self.n), np.zeros((self.n, len(p)))
-        for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
-            f[where], own = part.jacobian(p[place])
-            jac[where, place] = own
-        return f, jac
-
-    def chi2(self, p: FloatArray) -> float:
-        """Sum of squared weighted residuals."""
-        pairs = zip(self.parts, self.places, strict=True)
-        return float(sum(part.chi2(p[place]) for part, place in pairs))
-
-    def batch_chi2(self, batch: FloatArray) -> FloatArray:
-        """`chi2` for each parameter vector of a batch, shape (B,)."""
-        pairs = zip(self.parts, self.places, strict=True)
-        sums = [part.batch_chi2(batch[:, place]) for part, place in pairs]
-        return np.asarray(np.sum(sums, axis=0))
-
-    def normal_equations(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """chi2, J^T W r and J^T W J at p, summed part by part."""
-        n_p = len(self.all_parameters)
-        chi2, g, h = 0.0, np.zeros(n_p), np.zeros((n_p, n_p))
-        for part, place in zip(self.parts, self.places, strict=True):
-            own = part.normal_equations(p[place])
-            chi2 += own[0]
-            g[place] += own[1]
-            h[np.ix_(place, place)] += own[2]
-        return chi2, g, h
+    def with_directions(
+        self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0
+    ) -> JointProblem:
+        each = np.broadcast_to(turn, self.n)
+        parts = tuple(
+            part.with_directions(shift=None if shift is None else shift[where], turn=each[where])
+            for part, where in zip(self.parts, self.slices, strict=True)
+        )
+        return replace(self, parts=parts)
 
     def pieces(self) -> list[tuple[Problem, slice, NDArray[np.int64]]]:
-        """Each part with its samples' and its parameters' places among all."""
         return list(zip(self.parts, self.slices, self.places, strict=True))
 
     def around(self, p: FloatArray, h: FloatArray, j: int) -> tuple[Problem, NDArray[np.int64]]:
-        """For a part's own parameter the part, its shared parameters held as the others hold them.
+        """For a part's own unknown the part, its shared unknowns held as the others hold them.
 
         What the others say of the shared parameters is chi-squared's growth to second order, their
         own parameters following. A shared parameter needs the whole.
         """
         owners = [k for k, place in enumerate(self.places) if j in place]
         if len(owners) > 1:
-            return super().around(p, h, j)
+            return self, np.arange(len(p))
         part, place = self.parts[owners[0]], self.places[owners[0]]
-        part = part.with_parameters(tuple(self.all_parameters[m] for m in place))
+        part = part.with_parameters(tuple(self.parameters[m] for m in place))
         others = h.copy()
         others[np.ix_(place, place)] -= part.normal_equations(p[place])[2]
         rest = np.setdiff1d(np.arange(len(p)), place)
-        lower, upper = (np.array([getattr(q, e) for q in self.all_parameters])
-                        for e in ("lower", "upper"))  # fmt: skip
+        lower = np.array([q.lower for q in self.parameters])
+        upper = np.array([q.upper for q in self.parameters])
         rest = rest[(p[rest] > lower[rest]) & (p[rest] < upper[rest]) & (np.diag(h)[rest] > 0)]
         across = others[np.ix_(place, rest)]
         unit = 1 / np.sqrt(np.diag(h)[rest])
         inner = np.linalg.pinv(h[np.ix_(rest, rest)] * np.outer(unit, unit), hermitian=True)
         stiffness = others[np.ix_(place, place)] - (across * unit) @ inner @ (across * unit).T
-        known = {item.name: getattr(part, item.name) for item in fields(part)}
-        return HeldProblem(**known, centre=p[place], stiffness=stiffness), place
+        return PenalisedProblem(part, p[place], stiffness), place
 
     def at(self, index: NDArray[np.int64]) -> JointProblem:
-        """The problem of these samples alone, part after part, with their cells and weights."""
         index = np.sort(np.asarray(index, np.int64))
         parts = tuple(
             part.at(index[(index >= where.start) & (index < where.stop)] - where.start)
@@ -234,7 +265,7 @@ class JointProblem(Problem):
         return self._of(parts, self.samples.select(index, "some samples"))
 
     def subset(self, n: int) -> JointProblem:
-        """At most n samples, as evenly from all parts as `Problem.subset` takes them."""
+        """At most n samples, as evenly from all parts as `SingleProblem.subset` takes them."""
         each = max(n // len(self.parts), 2 * len(self.model.parameters))
         parts = tuple(part.subset(each) for part in self.parts)
         channels = [
@@ -244,40 +275,77 @@ class JointProblem(Problem):
         return self._of(parts, joined(channels))
 
     def _of(self, parts: tuple[Problem, ...], samples: BRDFSamples) -> JointProblem:
-        return replace(
-            self,
-            samples=samples,
-            parts=parts,
-            inverse_variance=np.concatenate([part.inverse_variance for part in parts]),
-            w_i=np.concatenate([part.w_i for part in parts]),
-            cells=joined_cells([part.cells for part in parts]),
+        cells = joined_cells([part.cells for part in parts])
+        return replace(self, parts=parts, samples=samples, cells=cells)
+
+    # ------------------------------------------------------------------ values and sums
+
+    def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
+        return np.concatenate(
+            [
+                scale**2 * part.variance(None if f is None else f[where], sharing=sharing)
+                for part, where, scale in zip(self.parts, self.slices, self.scales, strict=True)
+            ]
         )
 
+    def values(self, p: FloatArray, cells: Cells | None = None) -> FloatArray:
+        out = np.empty(self.n)
+        for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
+            own = None if cells is None else cells_within(cells, where)
+            out[where] = part.values(p[place], own)
+        return out
 
-@dataclass(frozen=True)
-class HeldProblem(Problem):
-    """A problem whose parameters other data hold: (p - centre)^T stiffness (p - centre) is added.
+    def jacobian(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Values (N,) and their derivatives (N, P): mostly zeros, see `pieces`."""
+        f, jac = np.empty(self.n), np.zeros((self.n, len(p)))
+        for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
+            f[where], own = part.jacobian(p[place])
+            jac[where, place] = own
+        return f, jac
 
-    Parameters
-    ----------
-    centre : ndarray, shape (P,)
-    stiffness : ndarray, shape (P, P)
-    """
-
-    centre: FloatArray = field(default_factory=lambda: np.zeros(0))
-    stiffness: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    def model_at(self, directions: Directions, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The model of part after part at these directions."""
+        found = [
+            part.model_at(directions, p[place])
+            for part, place in zip(self.parts, self.places, strict=True)
+        ]
+        jac = np.zeros((sum(len(f) for f, _ in found), len(p)))
+        start = 0
+        for (f, own), place in zip(found, self.places, strict=True):
+            jac[start : start + len(f), place] = own
+            start += len(f)
+        return np.concatenate([f for f, _ in found]), jac
 
     def chi2(self, p: FloatArray) -> float:
-        """Sum of squared weighted residuals, and what holds the parameters."""
-        step = p - self.centre
-        return super().chi2(p) + float(step @ self.stiffness @ step)
+        pairs = zip(self.parts, self.places, strict=True)
+        return float(sum(part.chi2(p[place]) for part, place in pairs))
+
+    def batch_chi2(self, batch: FloatArray) -> FloatArray:
+        pairs = zip(self.parts, self.places, strict=True)
+        sums = [part.batch_chi2(batch[:, place]) for part, place in pairs]
+        return np.asarray(np.sum(sums, axis=0))
 
     def normal_equations(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """chi2, J^T W r and J^T W J at p."""
-        chi2, g, h = super().normal_equations(p)
-        step = p - self.centre
-        pull = self.stiffness @ step
-        return chi2 + float(step @ pull), g - pull, h + self.stiffness
+        n_p = len(self.parameters)
+        chi2, g, h = 0.0, np.zeros(n_p), np.zeros((n_p, n_p))
+        for part, place in zip(self.parts, self.places, strict=True):
+            own = part.normal_equations(p[place])
+            chi2 += own[0]
+            g[place] += own[1]
+            h[np.ix_(place, place)] += own[2]
+        return chi2, g, h
+
+    def products(self, points: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
+        return by_jacobian.products(self, points, rows)
+
+    def weighted(self, columns: FloatArray) -> FloatArray:
+        return columns * self.inverse_variance[:, None]
+
+    def shared_changes(self, p: FloatArray) -> list[FloatArray]:
+        if not self.samples.shared:
+            return []
+        f = self.values(p)
+        return [shared_change(self, term, p, f) for term in self.samples.shared]
 
 
 def base_name(name: str) -> str:
@@ -292,15 +360,17 @@ def base_name(name: str) -> str:
 
 
 def _named_parameters(
-    model: Model, labels: Sequence[str], share: Sequence[str]
+    part: Problem, labels: Sequence[str], share: Sequence[str]
 ) -> tuple[tuple[Parameter, ...], tuple[NDArray[np.int64], ...]]:
-    """All parameters, and where each part finds its own among them."""
-    parameters = [q for q in model.parameters if q.name in share]
+    """All unknowns, and where each part finds its own among them."""
+    # To share a tied parameter is to share the one that it is tied to.
+    common = {r.tied_to or r.parameter.name for r in part.reported if r.parameter.name in share}
+    parameters = [q for q in part.parameters if q.name in common]
     shared = {q.name: j for j, q in enumerate(parameters)}
     places = []
     for label in labels:
         place = []
-        for q in model.parameters:
+        for q in part.parameters:
             place.append(shared.get(q.name, len(parameters)))
             if q.name not in shared:
                 meaning = f"{q.meaning}, {label}"
@@ -309,10 +379,30 @@ def _named_parameters(
     return tuple(parameters), tuple(places)
 
 
-# ---------------------------------------------------------------------- one list of samples
-
-
-def parameter_of_part(problem: JointProblem, part: int, name: str) -> str:
-    """Name among all parameters of one of a part's."""
-    place = int(problem.places[part][problem.model.names.index(name)])
-    return str(problem.parameters[place].name)
+def _reported(
+    part: Problem,
+    labels: Sequence[str],
+    parameters: tuple[Parameter, ...],
+    places: tuple[NDArray[np.int64], ...],
+) -> tuple[Reported, ...]:
+    """Parameters that all parts have in common, fixed ones among them, then those of each part."""
+    shared = {q.name for q in parameters}
+    common, own = [], []
+    for r in part.reported:
+        in_common = r.unknown is None or part.parameters[r.unknown].name in shared
+        (common if in_common else own).append(r)
+    found = [replace(r, unknown=None if r.unknown is None else int(places[0][r.unknown]))
+             for r in common]  # fmt: skip
+    for label, place in zip(labels, places, strict=True):
+        for r in own:
+            assert r.unknown is not None
+            name = f"{r.parameter.name}[{label}]"
+            meaning = f"{r.parameter.meaning}, {label}"
+            found.append(
+                Reported(
+                    replace(r.parameter, name=name, meaning=meaning),
+                    int(place[r.unknown]),
+                    tied_to=None if r.tied_to is None else f"{r.tied_to}[{label}]",
+                )
+            )
+    return tuple(found)

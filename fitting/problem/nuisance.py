@@ -16,30 +16,32 @@ readings and pull the fit below all of them (Peelle's pertinent puzzle).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.problem.joint import JointProblem
-from gonio.fitting.problem.problem import Problem
-from gonio.fitting.problem.shared_change import moved_problem, shared_change
-from gonio.geometry import FloatArray
-from gonio.models import Parameter
-from gonio.samples import Cells, SharedTerm
+from gonio.fitting.problem import by_jacobian
+from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.protocol import Problem, Weights
+from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.unknowns import KernelParameters, Reported
+from gonio.geometry import Directions, FloatArray
+from gonio.models import Model, Parameter
+from gonio.samples import BRDFSamples, Cells, SharedTerm
 
 STEP = 0.1  # of the prior's standard deviation: over which the slope of a direction is taken
 
 
 @dataclass(frozen=True)
-class NuisanceProblem(Problem):
-    """A least-squares problem in which the data tell of some shared errors as well.
+class NuisanceProblem:
+    """A least-squares problem that profiles some shared errors; see `Problem`.
 
-    It answers what `Problem` answers, with the draws of those errors integrated out: `weighted`
-    multiplies by s^2 C^-1, `chi2` is s^2 r^T C^-1 r, and `values` are those at the draws z0.
+    The draws of those errors are integrated out: `weighted` multiplies by s^2 C^-1, `chi2` is
+    s^2 r^T C^-1 r, and `values` are those at the draws z0.
 
     Parameters
     ----------
@@ -47,10 +49,10 @@ class NuisanceProblem(Problem):
         The problem without them.
     moved : Problem
         The same with directions as z0 moves them, weights of now.
-    learnt : tuple of str
+    profiled : tuple of str
         Names of the shared terms.
     draw : ndarray of int64, shape (terms, N)
-        Number of the draw that each sample has of each learnt term.
+        Number of the draw that each sample has of each profiled term.
     z0 : ndarray, shape (draws,)
         Draws about which the expectation is linear.
     basis : scipy.sparse.csr_array, shape (N, draws)
@@ -61,36 +63,35 @@ class NuisanceProblem(Problem):
         s, factor on the independent errors.
     """
 
-    base: Problem = field(kw_only=True)
-    moved: Problem = field(kw_only=True)
-    learnt: tuple[str, ...] = field(kw_only=True)
-    draw: NDArray[np.int64] = field(kw_only=True)
-    z0: FloatArray = field(kw_only=True)
-    basis: Any = field(kw_only=True)
-    factor: FloatArray = field(kw_only=True)
-    offset: FloatArray = field(kw_only=True)
-    noise: float = field(kw_only=True, default=1.0)
+    base: Problem
+    moved: Problem
+    profiled: tuple[str, ...]
+    draw: NDArray[np.int64]
+    z0: FloatArray
+    basis: Any
+    factor: FloatArray
+    offset: FloatArray
+    noise: float = 1.0
 
     @classmethod
     def of(cls, problem: Problem, names: Sequence[str]) -> NuisanceProblem:
-        """The problem with these terms to be learnt; `reweighted` lets the data speak.
+        """The problem with these terms profiled; `reweighted` lets the data speak.
 
         Parameters
         ----------
         problem : Problem
             Over one BRDF, or a joint one.
         names : sequence of str
-            Of shared terms of its samples, as `chosen` gives them.
+            Of shared terms of its samples, as `profiled_terms` gives them.
         """
         from scipy.sparse import csr_array
 
         terms = [term for term in problem.samples.shared if term.name in names]
         draw, n_draws = _draws(terms, problem.n)
         return cls(
-            **{item.name: getattr(problem, item.name) for item in fields(Problem)},
             base=problem,
             moved=problem,
-            learnt=tuple(dict.fromkeys(term.name for term in terms)),
+            profiled=tuple(dict.fromkeys(term.name for term in terms)),
             draw=draw,
             z0=np.zeros(n_draws),
             basis=csr_array((problem.n, n_draws)),
@@ -100,25 +101,118 @@ class NuisanceProblem(Problem):
 
     @property
     def terms(self) -> list[SharedTerm]:
-        """The learnt terms, in the order of the samples'."""
-        return [term for term in self.samples.shared if term.name in self.learnt]
+        """The profiled terms, in the order of the samples'."""
+        return [term for term in self.samples.shared if term.name in self.profiled]
+
+    @property
+    def samples(self) -> BRDFSamples:
+        return self.moved.samples
+
+    @property
+    def model(self) -> Model:
+        return self.moved.model
+
+    @property
+    def name(self) -> str:
+        return self.moved.name
+
+    @property
+    def n(self) -> int:
+        return self.moved.n
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What is fitted, in the order of every parameter vector; the draws are not among it."""
+        """The unknowns, in the order of every parameter vector; the draws are not among them."""
         return self.base.parameters
 
-    def vector(self, values: Any) -> FloatArray:
-        """Checked parameter vector, defaults filled in."""
+    @property
+    def reported(self) -> tuple[Reported, ...]:
+        return self.base.reported
+
+    @property
+    def weights(self) -> Weights:
+        return self.moved.weights
+
+    @property
+    def law(self) -> Loss:
+        return self.moved.law
+
+    @property
+    def threads(self) -> int | None:
+        return self.moved.threads
+
+    @property
+    def w_i(self) -> FloatArray:
+        return self.moved.w_i
+
+    @property
+    def cells(self) -> Cells:
+        return self.moved.cells
+
+    @property
+    def cos_theta_r(self) -> FloatArray:
+        return self.moved.cos_theta_r
+
+    @property
+    def inverse_variance(self) -> FloatArray:
+        return self.moved.inverse_variance
+
+    @property
+    def quadratic(self) -> bool:
+        return self.moved.quadratic
+
+    @property
+    def finds_scale(self) -> bool:
+        return self.moved.finds_scale
+
+    @property
+    def weights_follow_model(self) -> bool:
+        return self.moved.weights_follow_model
+
+    @property
+    def sum_limit(self) -> FloatArray:
+        return self.moved.sum_limit
+
+    @property
+    def terms_of_sum(self) -> list[tuple[str, NDArray[np.int64]]]:
+        return self.moved.terms_of_sum
+
+    @property
+    def kernel_parameters(self) -> KernelParameters | None:
+        return None
+
+    @property
+    def independent(self) -> Problem:
+        return self.base
+
+    def vector(self, values: Mapping[str, float]) -> FloatArray:
         return self.base.vector(values)
 
+    # ------------------------------------------------------------------ problems made from this one
+
     def with_parameters(self, parameters: tuple[Parameter, ...]) -> NuisanceProblem:
-        """The problem with other bounds of its parameters."""
         moved = self.moved.with_parameters(parameters)
-        return self._with(moved, base=self.base.with_parameters(parameters))
+        return replace(self, moved=moved, base=self.base.with_parameters(parameters))
+
+    def with_weights(self, inverse_variance: FloatArray) -> NuisanceProblem:
+        return replace(self, moved=self.moved.with_weights(inverse_variance))
+
+    def as_least_squares(self) -> NuisanceProblem:
+        return replace(self, base=self.base.as_least_squares(), moved=self.moved.as_least_squares())
+
+    def with_directions(
+        self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0
+    ) -> NuisanceProblem:
+        """The problem itself: its directions are those to which z0 moves them."""
+        return self
+
+    def pieces(self) -> list[tuple[Problem, slice, NDArray[np.int64]]]:
+        return [(self, slice(0, self.n), np.arange(len(self.parameters)))]
+
+    def around(self, p: FloatArray, h: FloatArray, j: int) -> tuple[Problem, NDArray[np.int64]]:
+        return self, np.arange(len(p))
 
     def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
-        """Variance of each sample by the independent errors, as `Problem.variance`."""
         return self.base.variance(f, sharing=sharing)
 
     def reweighted(self, p: FloatArray | None) -> NuisanceProblem:
@@ -127,7 +221,7 @@ class NuisanceProblem(Problem):
             return self
         z0 = self.draws(p)
         base = self.base.reweighted(p)
-        moved = self._moved(base, z0).reweighted(p)
+        moved = self._with_draws(base, z0).reweighted(p)
         f = moved.values(p)
         relative, offset = np.zeros(self.n), np.zeros(self.n)
         parts = list(zip(self.terms, z0[self.draw], strict=True))
@@ -141,20 +235,20 @@ class NuisanceProblem(Problem):
         for (term, z), change in zip(parts, changes, strict=True):
             if term.blur:
                 offset += z * change
-        new = self._with(
-            moved, base=base, z0=z0, basis=self._columns(changes), factor=factor, offset=offset
-        )
-        return replace(new, noise=new.settled_noise(p))
+        new = replace(
+            self, moved=moved, base=base, z0=z0, basis=self._columns(changes), factor=factor,
+            offset=offset,
+        )  # fmt: skip
+        return replace(new, noise=new.estimated_noise(p))
 
     def draws(self, p: FloatArray) -> FloatArray:
         """Estimate of every draw where the parameters are p, in units of its prior's sd."""
         return self._absorbed(self._residual(p)) / self.noise
 
-    def changes(self, p: FloatArray) -> list[FloatArray]:
-        """Change of the samples by one standard deviation of every shared term, learnt or not."""
+    def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         f = self.moved.values(p)
         return [
-            _change(self.moved, term, p, f, self.factor) if term.name in self.learnt
+            _change(self.moved, term, p, f, self.factor) if term.name in self.profiled
             else _change(self.moved, term, p, f, self.factor, step=1.0)
             for term in self.samples.shared
         ]  # fmt: skip
@@ -196,10 +290,17 @@ class NuisanceProblem(Problem):
         rest = columns - self._root @ self._absorbed(columns)
         return np.asarray(rest * self.inverse_variance[:, None])
 
+    def model_at(self, directions: Directions, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self.base.model_at(directions, p)
+
+    def products(self, points: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
+        return by_jacobian.products(self, points, rows)
+
     def at(self, index: NDArray[np.int64]) -> NuisanceProblem:
         """The problem of these samples alone, with their cells, weights and shared errors."""
-        return self._with(
-            self.moved.at(index),
+        return replace(
+            self,
+            moved=self.moved.at(index),
             base=self.base.at(index),
             draw=self.draw[:, index],
             basis=self.basis[index],
@@ -211,7 +312,7 @@ class NuisanceProblem(Problem):
         """At most n samples for starting values, without the shared errors."""
         return self.moved.subset(n)
 
-    def settled_noise(self, p: FloatArray) -> float:
+    def estimated_noise(self, p: FloatArray) -> float:
         """s: 1, or the size of the residuals over the weights where it is larger or all we know.
 
         The draws take up part of the residuals, the more the smaller s is: the s that fits its own
@@ -233,12 +334,7 @@ class NuisanceProblem(Problem):
                 break
         return float(s)
 
-    def _with(self, moved: Problem, **changes: Any) -> NuisanceProblem:
-        """Other fields; those of a plain problem are those of `moved`."""
-        own = {item.name: getattr(moved, item.name) for item in fields(Problem)}
-        return replace(self, **own, moved=moved, **changes)
-
-    def _moved(self, base: Problem, z0: FloatArray) -> Problem:
+    def _with_draws(self, base: Problem, z0: FloatArray) -> Problem:
         """A problem with its directions as the draws move them."""
         shift, turn = np.zeros((self.n, 3)), np.zeros(self.n)
         for term, z in zip(self.terms, z0[self.draw], strict=True):
@@ -248,13 +344,7 @@ class NuisanceProblem(Problem):
                 turn += z * term.turn * (1.0 if term.profile is None else term.profile)
         if not (shift.any() or turn.any()):
             return base
-        if isinstance(base, JointProblem):
-            parts = tuple(
-                moved_problem(part, shift=shift[where], turn=turn[where])
-                for part, where, _ in base.pieces()
-            )
-            return replace(base, parts=parts)
-        return moved_problem(base, shift=shift, turn=turn)
+        return base.with_directions(shift=shift, turn=turn)
 
     def _columns(self, changes: list[FloatArray]) -> Any:
         """U from the change by each learnt term."""

@@ -1,4 +1,4 @@
-"""Change of the model's values by a shared error of one standard deviation."""
+"""Change of the samples by a shared error of one standard deviation."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
-from gonio.geometry import FloatArray, rotated
+from gonio.fitting.problem.protocol import Problem
+from gonio.geometry import FloatArray
 from gonio.samples import SharedTerm
 
 
@@ -33,7 +33,7 @@ def shared_change(problem: Problem, term: SharedTerm, p: FloatArray, f: FloatArr
     if term.shift is not None:
         return _shifted(problem, term.shift, p)
     if term.turn:
-        ends = [moved_problem(problem, turn=side * term.turn).values(p) for side in (1, -1)]
+        ends = [problem.with_directions(turn=side * term.turn).values(p) for side in (1, -1)]
         change = (ends[0] - ends[1]) / 2
         return change if term.profile is None else change * term.profile
     if term.blur:
@@ -46,33 +46,6 @@ def _shifted(problem: Problem, shift: FloatArray, p: FloatArray) -> FloatArray:
     """Half the difference of the model with all viewing directions moved by +shift and -shift."""
     step = np.repeat(shift, np.diff(problem.cells.offsets), axis=0)
     return (_moved(problem, step, p) - _moved(problem, -step, p)) / 2
-
-
-def moved_problem(
-    problem: Problem, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0
-) -> Problem:
-    """The problem with its directions elsewhere.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one piece.
-    shift : ndarray, shape (N, 3), optional
-        Change of the viewing directions of a sample's members, tangent vectors in radians.
-    turn : float or ndarray, shape (N,)
-        Turn of the sample about its normal, radians: seen from a sample that lies turned
-        counter-clockwise both azimuths are smaller.
-    """
-    cells, w_i, w_r = problem.cells, problem.w_i, problem.cells.w_r
-    members = np.diff(cells.offsets)
-    if shift is not None:
-        w_r = w_r + np.repeat(shift, members, axis=0)
-        w_r /= np.linalg.norm(w_r, axis=1, keepdims=True)
-    if np.any(turn):
-        each = np.broadcast_to(turn, problem.n)
-        w_i = np.ascontiguousarray(rotated(w_i, each))
-        w_r = np.ascontiguousarray(rotated(w_r, np.repeat(each, members)))
-    return replace(problem, w_i=w_i, cells=replace(cells, w_r=w_r))
 
 
 def _blurred(problem: Problem, sd: float, p: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray
 

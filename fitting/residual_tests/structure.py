@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.groups import (
     LEAST,
     Grouping,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.groups import (
     LEAST,
 )

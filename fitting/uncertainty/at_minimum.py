@@ -9,9 +9,7 @@ import numpy as np
 from gonio.fitting.minimum.minimise import at_lower
 from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.minimum.record import CHI2_95
-from gonio.fitting.problem.joint import JointProblem
-from gonio.fitting.problem.nuisance import NuisanceProblem
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.correlated_parts import with_correlated_parts
 from gonio.fitting.uncertainty.profile_likelihood import around
@@ -24,14 +22,8 @@ def uncertainties(
 
     The list tells of each such lobe.
     """
-    if isinstance(problem, NuisanceProblem):
-        errors = uncertainty.evaluate(
-            problem, optimum, noise_scale, changes=problem.changes(optimum.p), learnt=problem.learnt
-        )
-    else:
-        errors = uncertainty.evaluate(problem, optimum, noise_scale)
-        if isinstance(problem, JointProblem):
-            errors = with_correlated_parts(problem, optimum, errors)
+    errors = uncertainty.evaluate(problem, optimum, noise_scale)
+    errors = with_correlated_parts(problem, optimum, errors)
     return _without_undetected(problem, optimum, errors)
 
 

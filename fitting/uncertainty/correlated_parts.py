@@ -9,8 +9,7 @@ import numpy as np
 
 from gonio.fitting.minimum.curvature import inverse_curvature
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.joint import JointProblem
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import FloatArray
 
@@ -19,9 +18,9 @@ SAME = 1e-3  # directions, as unit vectors, that are the same
 
 
 def with_correlated_parts(
-    problem: JointProblem, optimum: Optimum, errors: uncertainty.Uncertainty
+    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty
 ) -> uncertainty.Uncertainty:
-    """The covariance with residuals that are alike in all parts counted once.
+    """The covariance with residuals that all parts have in common counted once.
 
     Where a model does not fit, its parts leave the same residuals at the same directions: they are
     no independent evidence of what the parts share. With r_kl their correlation between parts,
@@ -34,18 +33,19 @@ def with_correlated_parts(
     columns = []
     for part, _, place in problem.pieces():
         columns.append(np.sqrt(part.inverse_variance)[:, None] * part.jacobian(optimum.p[place])[1])
+    places = [place for _, _, place in problem.pieces()]
     n_p = len(optimum.p)
     scatter = np.zeros((n_p, n_p))
-    for (k, a), (m, b) in itertools.product(enumerate(problem.places), repeat=2):
+    for (k, a), (m, b) in itertools.product(enumerate(places), repeat=2):
         scatter[np.ix_(a, b)] += r[k, m] * columns[k].T @ columns[m]
     _, inverse = inverse_curvature(optimum)
     return replace(errors, independent=errors.noise_scale**2 * inverse @ scatter @ inverse)
 
 
-def residual_correlation(problem: JointProblem, p: FloatArray) -> FloatArray | None:
-    """Correlation of the residuals between the parts, or None where they are not alike.
+def residual_correlation(problem: Problem, p: FloatArray) -> FloatArray | None:
+    """Correlation of the residuals between the parts, or None where they are not correlated.
 
-    Only parts that were measured at the same directions can be compared.
+    Only several parts that were measured at the same directions can be compared.
     """
     if not _same_directions(problem):
         return None
@@ -59,16 +59,17 @@ def residual_correlation(problem: JointProblem, p: FloatArray) -> FloatArray | N
 
 
 def mean_correlation(r: FloatArray) -> float:
+    """Mean of the correlations between different parts."""
     return float((r.sum() - len(r)) / (len(r) * (len(r) - 1)))
 
 
-def _same_directions(problem: JointProblem) -> bool:
-    first = problem.parts[0]
-    return all(
+def _same_directions(problem: Problem) -> bool:
+    first, *others = (part for part, _, _ in problem.pieces())
+    return bool(others) and all(
         part.n == first.n
         and np.allclose(part.w_i, first.w_i, atol=SAME)
         and np.allclose(_centroids(part), _centroids(first), atol=SAME)
-        for part in problem.parts[1:]
+        for part in others
     )
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.minimum.curvature import inverse_curvature
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.losses import CHI2
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import (
     shared_change,
 )
@@ -32,7 +31,7 @@ class Uncertainty:
         Factor on the independent uncertainties.
     shared : mapping of str to ndarray, shape (groups, P)
         Change of the parameters for one standard deviation of each draw of each shared term.
-    learnt : tuple of str
+    profiled : tuple of str
         Shared terms that the likelihood of the fit holds; the others are only propagated.
     """
 
@@ -40,7 +39,7 @@ class Uncertainty:
     independent: FloatArray
     noise_scale: float
     shared: dict[str, FloatArray]
-    learnt: tuple[str, ...] = ()
+    profiled: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> FloatArray:
@@ -50,12 +49,12 @@ class Uncertainty:
     @property
     def of_likelihood(self) -> FloatArray:
         """Covariance with the sources that the likelihood holds, shape (P, P)."""
-        return self._with(self.learnt)
+        return self._with(self.profiled)
 
     @property
     def propagated(self) -> dict[str, FloatArray]:
         """The part of `shared` that the likelihood does not hold."""
-        return {name: moves for name, moves in self.shared.items() if name not in self.learnt}
+        return {name: moves for name, moves in self.shared.items() if name not in self.profiled}
 
     def _with(self, names: tuple[str, ...]) -> FloatArray:
         total = self.independent.copy()
@@ -75,9 +74,6 @@ def evaluate(
     problem: Problem,
     optimum: Optimum,
     noise_scale: float,
-    *,
-    changes: Sequence[FloatArray] | None = None,
-    learnt: tuple[str, ...] = (),
 ) -> Uncertainty:
     """Covariance at a minimum.
 
@@ -88,30 +84,26 @@ def evaluate(
     optimum : Optimum
     noise_scale : float
         Factor by which the independent errors exceed what the weights say.
-    changes : sequence of ndarray, optional
-        Change of the samples (N,) for one standard deviation of every shared term, in their order;
-        `shared_change` at the minimum where not given.
-    learnt : tuple of str
-        Terms that the weights of the problem hold. The independent part is then what the gain
-        makes of the independent errors, so that all sources together are the covariance.
+
+    Notes
+    -----
+    Where the problem profiles shared errors the independent part is what the gain makes of the
+    independent errors, so that all sources together are the covariance.
     """
     if not problem.quadratic:
         return _sandwich(problem, optimum, noise_scale)
     determined, inverse = inverse_curvature(optimum)
     shared = {}
     if problem.samples.shared:
-        f = problem.values(optimum.p)
-        if changes is None:
-            changes = [shared_change(problem, t, optimum.p, f) for t in problem.samples.shared]
-        shared = _moves(problem, optimum.p, inverse, changes)
+        shared = _moves(problem, optimum.p, inverse, problem.shared_changes(optimum.p))
     independent = inverse * noise_scale**2
-    if learnt:
+    if problem.profiled:
         gain = inverse @ problem.weighted(problem.jacobian(optimum.p)[1]).T
         weight = problem.inverse_variance
         # A sample without weight has no part in the gain either.
         variance = np.divide(noise_scale**2, weight, out=np.zeros_like(weight), where=weight > 0)
         independent = (gain * variance) @ gain.T
-    return Uncertainty(determined, independent, noise_scale, shared, learnt)
+    return Uncertainty(determined, independent, noise_scale, shared, problem.profiled)
 
 
 def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncertainty:
@@ -121,7 +113,7 @@ def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncerta
     """
     p, law = optimum.p, problem.law
     f, jac = problem.jacobian(p)
-    data = problem.samples.value, f, problem.inverse_variance, problem.components[5]
+    data = problem.samples.value, f, problem.inverse_variance, problem.cos_theta_r
     bread = law.bread(*data)
     r, weight = law.linearised(*data)
     bent = (jac * bread[:, None]).T @ jac
@@ -129,7 +121,7 @@ def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncerta
     score = jac * (weight * r)[:, None]
     meat = score.T @ score * problem.n / max(problem.n - len(p), 1)
     # An error of the data moves the estimate as under least squares with these weights.
-    squared = replace(problem, inverse_variance=bread, loss=CHI2.name)
+    squared = problem.with_weights(bread).as_least_squares()
     changes = [shared_change(problem, term, p, f) for term in problem.samples.shared]
     shared = _moves(squared, p, inverse, changes) if changes else {}
     return Uncertainty(determined, inverse @ meat @ inverse, noise_scale, shared)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_columns import shared_columns, weighted_square
 from gonio.geometry import FloatArray
 

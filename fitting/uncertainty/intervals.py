@@ -11,7 +11,7 @@ from scipy import stats
 
 from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.minimum.record import CHI2_95
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.result import Estimate
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.profile_limits import excluded

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.minimum.minimise import minimise, pinned_at
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 

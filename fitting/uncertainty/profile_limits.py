@@ -6,7 +6,7 @@ import numpy as np
 
 from gonio.fitting.minimum.minimise import minimise, pinned_at
 from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.uncertainty.covariance import evaluate
 from gonio.fitting.uncertainty.profile_likelihood import around, profile_limit
@@ -100,28 +100,25 @@ def excluded(
 
 def _propagated(problem: Problem) -> bool:
     """Whether there are shared errors that the chi-squared of the problem does not hold."""
-    learnt = getattr(problem, "learnt", ())
-    return any(term.name not in learnt for term in problem.samples.shared)
+    return any(term.name not in problem.profiled for term in problem.samples.shared)
 
 
 def _shared_part(
     problem: Problem, optimum: Optimum, j: int, value: float, noise_scale: float
 ) -> float:
     """Variance of parameter j by shared errors over that by independent ones, at a value of it."""
-    base: Problem = getattr(problem, "base", problem)
     start = np.where(np.arange(len(optimum.p)) == j, value, optimum.p)
     p: FloatArray = minimise(pinned_at(problem, j, value), start, search=False).p
-    some = thinned(base, MOST)
+    some = thinned(problem.independent, MOST)
     chi2, gradient, curvature = some.normal_equations(p)
     free = optimum.free | (np.arange(len(p)) == j)
     here = Optimum(p, chi2, gradient, curvature, free, 0, True)
     errors = evaluate(some, here, noise_scale * float(np.sqrt(some.n / problem.n)))
     if not errors.determined[j] or errors.independent[j, j] <= 0:
         return 0.0
-    learnt = getattr(problem, "learnt", ())
     shared = sum(
         float(np.sum(moves[:, j] ** 2))
         for name, moves in errors.shared.items()
-        if name not in learnt
+        if name not in problem.profiled
     )
     return shared / float(errors.independent[j, j])

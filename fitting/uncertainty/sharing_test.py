@@ -16,7 +16,6 @@ from gonio.fitting.result import Sharing
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
-from gonio.models import Model
 
 REFUSED = 0.01  # chance below which the data refuse the sharing
 
@@ -43,13 +42,13 @@ def sharing_test(
     dof = sum(_rank(own) for own in apart) - _rank(optimum)
     p_value = None
     if dof > 0:
-        allowed = growth * _allowance(problem.model, names, separate, apart, errors)
+        allowed = growth * _allowance(names, separate, apart, errors)
         left = problem.n - sum(int(np.count_nonzero(own.free)) for own in apart)
         p_value = _chance(problem, allowed, dof, left)
     told = []
-    for own, place in zip(apart, separate.places, strict=True):
+    for own, part, place in zip(apart, separate.parts, separate.places, strict=True):
         pairs: dict[str, tuple[float, float | None]] = {}
-        for j, q in enumerate(problem.model.parameters):
+        for j, q in enumerate(part.parameters):
             if q.name in names:
                 sd = float(np.sqrt(errors.covariance[place[j], place[j]]))
                 known = errors.determined[place[j]] and sd < q.upper - q.lower
@@ -67,7 +66,6 @@ def _chance(problem: JointProblem, growth: float, dof: int, left: int) -> float:
 
 
 def _allowance(
-    model: Model,
     names: Sequence[str],
     separate: JointProblem,
     apart: Sequence[Optimum],
@@ -81,8 +79,8 @@ def _allowance(
     if not errors.shared:
         return 1.0
     index, value, column = [], [], []
-    for own, place in zip(apart, separate.places, strict=True):
-        for j, q in enumerate(model.parameters):
+    for own, part, place in zip(apart, separate.parts, separate.places, strict=True):
+        for j, q in enumerate(part.parameters):
             if q.name in names and errors.determined[place[j]]:
                 index.append(place[j])
                 value.append(own.p[j])

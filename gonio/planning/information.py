@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.minimum import curvature
-from gonio.fitting.problem.problem import Problem
 from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import FloatArray
 from gonio.models import Model
 from gonio.samples import BRDFSamples
@@ -121,7 +121,9 @@ class Candidates:
         self.terms = tuple(term.name for term in samples.shared)
         self._averaged = np.array([bool(term.averages) for term in samples.shared], dtype=bool)
         # Counting the reference twice tells it apart.
-        problem = Problem.from_samples(replace(samples, reference_sharing=2), model, "sd", threads)
+        problem = SingleProblem.from_samples(
+            replace(samples, reference_sharing=2), model, "sd", threads
+        )
         f, jacobian = problem.jacobian(p)
         once = problem.variance(f)
         reference = problem.variance(f, sharing=True) - once

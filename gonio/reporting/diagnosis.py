@@ -10,8 +10,8 @@ import numpy as np
 import gonio.models as models
 from gonio.errors import GonioError
 from gonio.fitting.minimum.minimise import minimise
-from gonio.fitting.problem.problem import Problem
 from gonio.fitting.problem.shared_columns import thinned
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result import FitResult
 from gonio.fitting.uncertainty.profile_likelihood import profile
 from gonio.plotting.style import BLUE, VERMILLION
@@ -105,7 +105,7 @@ def profiles(inputs: Inputs) -> Chart | None:
         return None
     model = models.get(fit.model)
     try:
-        problem = Problem.from_samples(samples, model, fit.weights)  # type: ignore[arg-type]
+        problem = SingleProblem.from_samples(samples, model, fit.weights)  # type: ignore[arg-type]
     except GonioError:
         return None
     p = model.vector(fit.values())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import gonio.models as models
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result import FitResult
 from gonio.geometry import FloatArray
 from gonio.plotting.style import BLUE, VERMILLION
@@ -48,7 +48,7 @@ class Residuals:
 def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
     """Residuals in standard uncertainties, or in root mean squares where those are unknown."""
     model = models.get(fit.model)
-    problem = Problem.from_samples(samples, model)
+    problem = SingleProblem.from_samples(samples, model)
     p = model.vector(fit.values())
     f = problem.values(p)
     rest = samples.value - f

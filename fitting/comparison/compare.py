@@ -14,6 +14,7 @@ from gonio.fitting.comparison.ranking import (
     ranked,
 )
 from gonio.fitting.comparison.records import Comparison
+from gonio.fitting.comparison.scores import score_model
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.problem.protocol import Weights
@@ -111,7 +112,7 @@ def compare(
     some = np.sort(rng.permutation(len(samples))[: predictive_scores.LOO_SAMPLES])
     judged = []
     for k, minimum in enumerate(minima):
-        judged.append(judged(minimum, reference, groups, some, seed))
+        judged.append(score_model(minimum, reference, groups, some, seed))
         if progress is not None:
             progress(k + 1, len(minima))
     known_noise = _fits_to_the_noise(reference)

@@ -27,7 +27,7 @@ class Judged:
     by_sample: FloatArray | None
 
 
-def judged(
+def score_model(
     minimum: Minimum,
     reference: Minimum,
     groups: list[predictive_scores.Index],

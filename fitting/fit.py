@@ -10,6 +10,7 @@ from typing import Any, Literal
 from gonio.errors import ConfigurationError
 from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.diagnostics.parts import with_parts
+from gonio.fitting.in_memory import InMemory
 from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.find import find_minimum, without_spikes
 from gonio.fitting.minimum.joint import find_joint_minimum
@@ -39,8 +40,8 @@ from gonio.samples import BRDFSamples
 
 def fit(
     samples: BRDFSamples | Sequence[BRDFSamples] | Mapping[str, BRDFSamples],
-    *,
     model: str | Model,
+    *,
     share: str | Sequence[str] | None = None,
     weights: Weights | None = None,
     start: Mapping[str, float] | None = None,
@@ -203,6 +204,7 @@ def fit(
         nuisance=told,
         engine=engine,
         loss=loss,
+        memory=InMemory(chosen, problem, optimum.p, scale, seed, chain),
         **provenance(problem.samples),
     )
 
@@ -239,10 +241,19 @@ def _minimum(
         words = share.split(",") if isinstance(share, str) else share
         names = [word.strip() for word in words if word.strip()]
         return with_parts(find_joint_minimum(samples, model, names, **options))
-    if not isinstance(samples, BRDFSamples):
+    if isinstance(samples, Mapping) or (
+        isinstance(samples, Sequence) and all(isinstance(s, BRDFSamples) for s in samples)
+    ):
         raise ConfigurationError(
             "several samples are fitted together with 'share', the names of the parameters that "
             "they have in common; an empty one shares nothing."
+        )
+    if not isinstance(samples, BRDFSamples):
+        raise ConfigurationError(
+            "a fit takes BRDF samples, which are values with their directions, not "
+            f"{type(samples).__name__}; make them with BRDFSamples(Directions(theta_i, phi_i, "
+            "theta_r, phi_r), values, u), angles in radians, with gonio.reduce(session), "
+            "gonio.formats.read(file) or BRDFSamples.from_dataframe(table)."
         )
     return find_minimum(samples, model, **options)
 

@@ -39,6 +39,8 @@ class Chain:
         Log of the density that was sampled, amplitudes integrated out, up to a constant.
     priors : tuple of Prior
     warnings : list of str
+    unmoved : ndarray, optional
+        The draws before the shared terms were added.
     """
 
     draws: FloatArray
@@ -50,6 +52,7 @@ class Chain:
     log_density: FloatArray
     priors: tuple[Prior, ...]
     warnings: list[str] = field(default_factory=list)
+    unmoved: FloatArray | None = None
 
     @property
     def n_steps(self) -> int:

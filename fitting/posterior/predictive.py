@@ -73,7 +73,7 @@ def save(chain: Chain, path: Path, problem: Problem, *, scale: float, seed: int)
     Groups: posterior, posterior_predictive, observed_data, sample_stats; everything in the unit
     of files, angles in degrees. Of the predictive draws at most `MAX_VALUES` values are kept.
     """
-    groups = _groups(chain, problem, scale, np.random.default_rng([seed, 1]))
+    groups = predictive_groups(chain, problem, scale, np.random.default_rng([seed, 1]))
     with atomic_path(path) as temporary:
         for k, (name, dataset) in enumerate(groups.items()):
             dataset.to_netcdf(
@@ -82,9 +82,10 @@ def save(chain: Chain, path: Path, problem: Problem, *, scale: float, seed: int)
             )  # fmt: skip
 
 
-def _groups(
+def predictive_groups(
     chain: Chain, problem: Problem, scale: float, rng: np.random.Generator
 ) -> dict[str, Any]:
+    """The groups of a file of draws as datasets, angles in degrees."""
     import xarray as xr
 
     walkers, steps, _ = chain.draws.shape

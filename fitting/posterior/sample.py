@@ -194,4 +194,4 @@ def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.G
     if len(limited):
         total = (draws[..., limited] * c[limited]).sum(axis=-1, keepdims=True)
         draws[..., limited] /= np.maximum(total, 1.0)
-    return replace(chain, draws=draws)
+    return replace(chain, draws=draws, unmoved=chain.draws)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
+from gonio.cli.measured import read_samples, sample_options
 from gonio.errors import ConfigurationError
+from gonio.fitting.result.lines import WEIGHTS, cuts_line
 
 if TYPE_CHECKING:
     from gonio.fitting.comparison.records import Comparison, Entry, Score
@@ -109,7 +110,7 @@ def _tell(found: Comparison, output: Path | None) -> None:
     from rich.table import Table
 
     click.echo(
-        f"{found.n_samples} samples, {len(found.groups)} incidences{cuts_told(found.cuts)}; "
+        f"{found.n_samples} samples, {len(found.groups)} incidences{cuts_line(found.cuts)}; "
         f"weights: {WEIGHTS[found.weights]}"
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))

@@ -8,15 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from gonio.cli import explain, posteriors
-from gonio.cli.measured import WEIGHTS, cuts_told, read_samples, sample_options
+from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
-from gonio.cli.tables import parameter_row, table, terminal_width
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from gonio.fitting.result import FitResult
     from gonio.models import Model
     from gonio.samples import BRDFSamples
@@ -234,49 +230,20 @@ def _tell(
     explained: bool = False,
 ) -> None:
     """The result as a table, with warnings under it."""
+    import shutil
+
     from rich.console import Console
 
-    parts = f" in {len(result.parts)} parts" if result.parts else ""
-    click.echo(f"{model.title} ({model.reference})")
-    click.echo(
-        f"{result.n_samples} samples{parts}{cuts_told(result.cuts)}; "
-        f"weights: {WEIGHTS[result.weights]}"
-    )
-    click.echo(f"loss: {result.loss}; engine: {result.engine}")
+    from gonio.fitting.result.text import page
+
+    width = max(80, shutil.get_terminal_size((80, 24)).columns)
     # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
-    console = Console(width=max(80, terminal_width()), highlight=False, markup=False)
-    if result.parts:
-        from gonio.cli import joint
-
-        joint.show(result, truth, console)
-    else:
-        _show(result, truth, console)
-    known = result.weights == "sd" and result.loss == "chi2"
-    ratio = f"chi2/dof {result.chi2 / result.dof:.4g}, " if known else ""
-    click.echo(f"{ratio}status: {result.status.replace('_', ' ')}")
-    if result.posterior is not None:
-        for line in posteriors.lines(result.posterior):
-            click.echo(line)
-    if result.nuisance:
-        from gonio.cli import nuisance
-
-        for line in nuisance.lines(result.nuisance):
-            click.echo(line)
-    for line in explain.lines(result):
-        click.echo(line)
-    for warning in result.warnings:
-        click.echo(f"warning: {warning}")
-    if explained:
-        explain.show(result, console)
+    console = Console(width=width, highlight=False, markup=False)
+    title = f"{model.title} ({model.reference})"
+    for piece in page(result, title, known=truth, width=width, explain=explained):
+        if isinstance(piece, str):
+            click.echo(piece)
+        else:
+            console.print(piece)
     if output is not None:
         click.echo(f"written to {output}", err=True)
-
-
-def _show(result: FitResult, truth: dict[str, float] | None, console: Console) -> None:
-    """One row a parameter."""
-    headings = ["value", "std. unc.", "95 % interval"]
-    headings += ["true", "error"] if truth is not None else []
-    shown = table("parameter", *headings, fold=True)
-    for name, estimate in result.parameters.items():
-        shown.add_row(*parameter_row(name, estimate, None if truth is None else truth[name]))
-    console.print(shown)

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import rich_click as click
 
 from gonio.errors import ConfigurationError
+from gonio.fitting.result.lines import WEIGHTS
 
 if TYPE_CHECKING:
     from gonio.samples import BRDFSamples
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-WEIGHTS = {
-    "sd": "1/uncertainty",
-    "none": "equal",
-    "cos": "cos theta_r",
-    "coscos": "cos theta_i cos theta_r",
-}
 
 _OPTIONS = (
     click.option(
@@ -147,17 +141,3 @@ def _require_one_channel(source: Path, samples: BRDFSamples, hint: str) -> None:
             f"of {', '.join(values[:40])}.{hint}",
             value=values,
         )
-
-
-def cuts_told(cuts: Mapping[str, Any]) -> str:
-    """What was left out, to stand behind the number of samples; empty where nothing was."""
-    told = [
-        f"{name} <= {limit:g} deg"
-        for name, limit in (
-            ("theta_i", cuts["max_theta_i_deg"]),
-            ("theta_r", cuts["max_theta_r_deg"]),
-        )
-        if limit is not None
-    ]
-    told += [f"{key} = {value}" for key, value in cuts["select"].items()]
-    return f" with {', '.join(told)}" if told else ""

@@ -12,7 +12,6 @@ from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from gonio.fitting.posterior.priors import Prior
-    from gonio.fitting.result import PosteriorSummary
     from gonio.models import Model
 
 
@@ -73,23 +72,3 @@ def read_priors(items: tuple[str, ...], model: Model, *, posterior: bool) -> dic
         q = known.get(name.partition("[")[0])
         found[name] = text if q is None else parse(replace(q, name=name), text)
     return found
-
-
-def lines(p: PosteriorSummary) -> list[str]:
-    """Whether the posterior converged, how it was sampled, and priors that are not flat."""
-    told = [
-        f"posterior: {'converged' if p.converged else 'NOT converged'}, {p.ess:.0f} effective "
-        f"draws, R-hat {p.r_hat:.4f}, autocorrelation {p.tau:.1f} steps; intervals are its "
-        "quantiles"
-    ]
-    parts = []
-    if p.sampler is not None:
-        parts.append(f"{p.sampler} sampler" + (f" ({p.note})" if p.note else ""))
-    if p.ess_tail is not None:
-        parts.append(f"{p.ess_tail:.0f} effective draws in the tails")
-    if p.k_hat is not None:
-        parts.append(f"k-hat {p.k_hat:.2f}")
-    told += ["  " + ", ".join(parts)] if parts else []
-    believed = [f"{name} {text}" for name, text in p.priors.items() if text != "flat"]
-    others = "; the others flat" if len(believed) < len(p.priors) else ""
-    return told + ([f"  priors: {', '.join(believed)}{others}"] if believed else [])

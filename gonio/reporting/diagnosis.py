@@ -13,6 +13,7 @@ from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result import FitResult
+from gonio.fitting.result.correlation import correlation
 from gonio.fitting.uncertainty.profile_likelihood import profile
 from gonio.plotting.style import BLUE, VERMILLION
 from gonio.reporting.chart import Chart, Trace, View, axis, short
@@ -56,12 +57,14 @@ def _summary(found: Mapping[str, Any]) -> Markup:
 
 
 def _identified(fit: FitResult, found: Mapping[str, Any]) -> list[Markup]:
-    names = list(found["parameters"])
-    rows = [
-        [name, *(_shade(r) for r in row)]
-        for name, row in zip(names, found["correlation"], strict=True)
-    ]
-    parts = [table(["", *names], rows, "Correlation of the independent errors")] if names else []
+    parts = []
+    known = correlation(fit)
+    if known is not None and known.names:
+        rows = [
+            [name, *(_shade(r) for r in row)]
+            for name, row in zip(known.names, known.rows, strict=True)
+        ]
+        parts.append(table(["", *known.names], rows, known.of))
     rows = []
     for name, own in fit.parameters.items():
         estimate = own.in_file_units()

@@ -1,32 +1,45 @@
-"""Tables of estimates on the terminal."""
+"""Tables of estimates, in the unit of files, for a terminal."""
 
 from __future__ import annotations
 
 import math
-import shutil
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
+
+from gonio.fitting.result.estimates import Estimate
+from gonio.fitting.result.record import FitRecord
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from gonio.fitting.result import Estimate
 
-
-def table(first: str, *others: str, fold: bool = False) -> Table:
+def table(first: str, *others: str, fold: bool = False, title: str | None = None) -> Table:
     """An empty table: names at the left, which may fold, numbers at the right."""
     from rich import box
     from rich.table import Table
 
-    empty = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    empty = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     empty.add_column(first, no_wrap=not fold)
     for heading in others:
-        empty.add_column(heading, justify="right", no_wrap=True)
+        empty.add_column(heading, justify="right", no_wrap=not title)
     return empty
 
 
-def terminal_width() -> int:
-    """Columns of the terminal; 80 where there is none."""
-    return shutil.get_terminal_size((80, 24)).columns
+def parameter_table(record: FitRecord, known: Mapping[str, float] | None) -> Table:
+    """One row a parameter, with known values and the error where there are some.
+
+    Parameters
+    ----------
+    record : FitRecord
+    known : mapping of str to float, optional
+        Values of a simulation, in the unit of files.
+    """
+    headings = ["value", "std. unc.", "95 % interval"]
+    headings += ["true", "error"] if known is not None else []
+    shown = table("parameter", *headings, fold=True)
+    for name, estimate in record.parameters.items():
+        shown.add_row(*parameter_row(name, estimate, None if known is None else known[name]))
+    return shown
 
 
 def parameter_row(name: str, estimate: Estimate, true: float | None) -> list[str]:

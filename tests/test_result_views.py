@@ -77,7 +77,7 @@ def test_the_command_prints_the_same(rough, tmp_path, capsys):
 
     path = tmp_path / "samples.nc"
     measured("oren_nayar", {"rho": 0.8, "sigma": 0.4}).save(path)
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         main(["fit", str(path), "--model", "oren_nayar", "--posterior", "--seed", "3"])
     shown = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
     assert [line for line in shown if line] == [line for line in str(rough).splitlines() if line]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gonio.fitting.posterior.chain import Chain
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.models import Model
 from gonio.samples import BRDFSamples

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from gonio.errors import ConfigurationError
 from gonio.fitting.posterior.chain import Chain
 from gonio.fitting.posterior.predictive import predictive_groups
-from gonio.fitting.problem.nuisance import NuisanceProblem
-from gonio.fitting.problem.problem import Problem
+from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 MAX_BYTES = 200_000_000  # of the log-likelihood
@@ -57,7 +56,7 @@ def _check(problem: Problem) -> None:
     why = ""
     if not problem.quadratic:
         why = f"loss {problem.law.name!r} is not chi2"
-    elif isinstance(problem, NuisanceProblem):
+    elif problem.profiled:
         why = "shared errors are unknowns of this fit and make its samples depend on each other"
     if why:
         raise ConfigurationError(

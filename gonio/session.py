@@ -163,8 +163,8 @@ class Session:
         if key not in self._manifest:
             raise DataError(f"{self.path}: frame {key} is missing.", value=key)
         try:
-            place = self._place(take, incidence, exposure, channel)
-            frame: Frame = np.asarray(self._array(role)[place])
+            index = self._index(take, incidence, exposure, channel)
+            frame: Frame = np.asarray(self._array(role)[index])
         except Exception as error:  # zarr's codecs raise many kinds
             raise DataError(
                 f"{self.path}: frame {key} cannot be read ({error}); it is damaged, take it again.",
@@ -200,7 +200,7 @@ class Session:
             If the disk refuses; the session keeps the frames acknowledged so far.
         """
         key = _key(role, take, incidence, exposure, channel)
-        place = self._place(take, incidence, exposure, channel)
+        index = self._index(take, incidence, exposure, channel)
         camera = self.metadata.camera
         if frame.shape != (camera.rows, camera.columns) or frame.dtype != np.uint16:
             raise DataError(
@@ -208,8 +208,8 @@ class Session:
                 f"({camera.rows}, {camera.columns})."
             )
         try:
-            self._array(role)[place] = frame
-            _sync(self._chunk_path(role, place))
+            self._array(role)[index] = frame
+            _sync(self._chunk_path(role, index))
             crc = zlib.crc32(frame.tobytes())
             line = json.dumps({"frame": key, "crc32": crc}) + "\n"
             with (self.path / "manifest.jsonl").open("a", encoding="utf-8") as manifest:
@@ -227,13 +227,13 @@ class Session:
             self._arrays[role] = zarr.open_array(self.path / "frames.zarr" / role, mode="r+")
         return self._arrays[role]
 
-    def _place(self, take: int, incidence: int, exposure: int, channel: int) -> tuple[int, ...]:
+    def _index(self, take: int, incidence: int, exposure: int, channel: int) -> tuple[int, ...]:
         """Index of a frame in its role's array."""
-        place = (take, incidence, exposure)
-        return (channel, *place) if len(self.metadata.plan.channels) > 1 else place
+        index = (take, incidence, exposure)
+        return (channel, *index) if len(self.metadata.plan.channels) > 1 else index
 
-    def _chunk_path(self, role: str, place: tuple[int, ...]) -> Path:
-        return self.path.joinpath("frames.zarr", role, "c", *map(str, place), "0", "0")
+    def _chunk_path(self, role: str, index: tuple[int, ...]) -> Path:
+        return self.path.joinpath("frames.zarr", role, "c", *map(str, index), "0", "0")
 
 
 def read_truth(path: str | Path) -> dict[str, Any] | None:

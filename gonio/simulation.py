@@ -172,9 +172,9 @@ def _surface(
             raise ConfigurationError(
                 f"material {material!r} has its own parameters; give a model to choose them."
             )
-        found = get_material(material)
-        chosen = get_model(found.model)
-        return Surface(found.name, chosen, (chosen.vector(found.parameters),) * len(rig.channels))
+        entry = get_material(material)
+        chosen = get_model(entry.model)
+        return Surface(entry.name, chosen, (chosen.vector(entry.parameters),) * len(rig.channels))
     assert model is not None
     chosen = get_model(model)
     return Surface(chosen.name, chosen, parameter_vectors(rig, chosen, parameters or {}))
@@ -303,7 +303,7 @@ def _frames(
     plan, sensor = images.plan, images.instrument.sensor
     n_exposures, n_channels = len(plan.exposures_s), len(plan.channels)
     dark = sensor.dark_current(realisation.pattern_seed)
-    figures = sensor.figures() | {"seed": realisation.noise_seed, "threads": images.threads}
+    readout = sensor.readout() | {"seed": realisation.noise_seed, "threads": images.threads}
     for number, image, missing in _missing(session, plan):
         if truth is not None and image[0] == "sample":
             truth.write_brdf(*image[1:])
@@ -313,7 +313,7 @@ def _frames(
                 rates[channel] + dark,
                 plan.exposures_s[k],
                 frame=(number * n_channels + channel) * n_exposures + k,
-                **figures,
+                **readout,
             )
             yield partial(session.write, *image, k, frame, channel=channel)
 

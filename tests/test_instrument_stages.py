@@ -485,8 +485,8 @@ class TestManyBits:
                           + s.black_dn)  # fmt: skip
         # Quarters, halves rounded up: an eighth of a count more, which belongs to the black level.
         many = np.floor(np.clip(counts, 0, 2**14 - 1).sum(axis=0) / 4 + 0.5) - 0.125
-        figures = s.figures() | {"seed": 1, "frame": 0, "threads": 1}
-        one = expose(np.full((1, 200_000), 16 * electrons), 1.0, **figures)[0].astype(float)
+        readout = s.readout() | {"seed": 1, "frame": 0, "threads": 1}
+        one = expose(np.full((1, 200_000), 16 * electrons), 1.0, **readout)[0].astype(float)
         error = np.sqrt(one.var() / one.size + many.var() / n)
         assert abs(one.mean() - many.mean()) <= 4 * error
         assert one.var() == pytest.approx(many.var(), rel=4 * np.sqrt(2 / n))

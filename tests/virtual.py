@@ -19,7 +19,7 @@ PATTERN, DOME = 11, 12  # seeds of the camera's fixed pattern and of the dome's 
 
 
 def small(name: str = "ideal12", n: int = 104, **parts) -> Instrument:
-    """A preset with n x n pixels (2 x 2 binned) and a few changed figures of its parts."""
+    """A preset with n x n pixels (2 x 2 binned) and a few changed values of its parts."""
     return preset(name).with_pixels(n).altered(**parts)
 
 
@@ -62,7 +62,7 @@ class Drawn(Session):
             (rate,) = scene.rates(*image, [lamp(number)])
             self.brackets[image] = np.stack(
                 [
-                    expose(rate + dark, t, seed=seed, frame=number * n + k, **rig.sensor.figures())
+                    expose(rate + dark, t, seed=seed, frame=number * n + k, **rig.sensor.readout())
                     for k, t in enumerate(plan.exposures_s)
                 ]
             )

@@ -153,7 +153,7 @@ def check_model(
     every model.
 
     Albedos are quadratures, which importance-sampled directions check: where the two disagree by
-    more than chance allows, the error that is told is their difference. The bihemispherical albedo
+    more than chance allows, the stated error is their difference. The bihemispherical albedo
     of a costly model is the mean weight of such directions, its error twice the standard error.
 
     Examples
@@ -261,11 +261,11 @@ def _listed(angles_deg: list[float]) -> str:
 
 def _directional(model: Model, p: FloatArray, theta_deg: float, rng: np.random.Generator) -> Albedo:
     theta_i = math.radians(theta_deg)
-    found = directional_albedo(model, _named(model, p), theta_i)
+    albedo = directional_albedo(model, _named(model, p), theta_i)
     if model.costly:
-        return found
+        return albedo
     w_i = np.broadcast_to(unit_vectors(theta_i, 0.0), (CHECK_DRAWS, 3))
-    return _doubted(found, model.sample(w_i, p, rng).weight)
+    return _doubted(albedo, model.sample(w_i, p, rng).weight)
 
 
 def _bihemispherical(model: Model, p: FloatArray, rng: np.random.Generator) -> Albedo:
@@ -279,16 +279,16 @@ def _bihemispherical(model: Model, p: FloatArray, rng: np.random.Generator) -> A
     return _doubted(bihemispherical_albedo(model, _named(model, p)), weight)
 
 
-def _doubted(found: Albedo, weight: FloatArray) -> Albedo:
+def _doubted(albedo: Albedo, weight: FloatArray) -> Albedo:
     """A quadrature with its error, or with how far draws are from it where that is more.
 
     All nodes may lie beside a lobe that is narrow across and long along its ridge: two rules then
     agree, and both are wrong.
     """
-    apart, chance = abs(found.value - float(weight.mean())), 4 * _stderr(weight)
-    if apart > found.error + chance:
-        return replace(found, error=apart + chance)
-    return found
+    apart, chance = abs(albedo.value - float(weight.mean())), 4 * _stderr(weight)
+    if apart > albedo.error + chance:
+        return replace(albedo, error=apart + chance)
+    return albedo
 
 
 def _stderr(weight: FloatArray) -> float:

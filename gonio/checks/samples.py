@@ -261,13 +261,13 @@ def _quantity(
     k, j = k[telling], j[telling]
     if len(k) == 0:
         return UNDECIDED, {}, 0
-    found = {
+    disagreement = {
         name: float(np.median(_disagreement(value[k] / c[k], value[j] / c[j])))
         for name, c in cosines.items()
     }
-    best, second = sorted(found, key=lambda name: found[name])[:2]
-    clear = len(k) >= MIN_PAIRS and found[best] < CLEARLY_BETTER * found[second]
-    return best if clear else UNDECIDED, found, len(k)
+    best, second = sorted(disagreement, key=lambda name: disagreement[name])[:2]
+    clear = len(k) >= MIN_PAIRS and disagreement[best] < CLEARLY_BETTER * disagreement[second]
+    return best if clear else UNDECIDED, disagreement, len(k)
 
 
 def _rough_albedo(

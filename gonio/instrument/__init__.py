@@ -80,7 +80,7 @@ class Instrument(Part):
         return self
 
     def altered(self, **parts: Mapping[str, Any]) -> Instrument:
-        """The instrument with some figures of some parts changed; they are not checked.
+        """The instrument with some values of some parts changed; they are not checked.
 
         Examples
         --------
@@ -88,8 +88,8 @@ class Instrument(Part):
         1.0
         """
         changed = {
-            name: getattr(self, name).model_copy(update=dict(figures))
-            for name, figures in parts.items()
+            name: getattr(self, name).model_copy(update=dict(values))
+            for name, values in parts.items()
         }
         return self.model_copy(update=changed)
 
@@ -172,7 +172,7 @@ def _sentence(where: str, error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         owner: Any = Instrument
         for part in first["loc"][:-1]:
-            if not isinstance(part, int):  # a place in a list, whose items are of one kind
+            if not isinstance(part, int):  # an index of a list, whose items are of one kind
                 owner = owner.model_fields[part].annotation
                 owner = next(iter(get_args(owner)), owner)
         hint = unknown_name("key", str(first["loc"][-1]), owner.model_fields)

@@ -54,7 +54,7 @@ class BoardCamera:
         psf_px: float | None = None,
         field_deg: float | None = None,
     ) -> BoardCamera:
-        """The camera of an instrument, with what is given in place of its own figures.
+        """The camera of an instrument, with what is given in place of its own values.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class BoardCamera:
         Raises
         ------
         ConfigurationError
-            If a figure is out of range or the binning does not divide the window.
+            If a value is out of range or the binning does not divide the window.
         """
         sensor = rig.sensor
         if binning < 1 or sensor.rows % binning or sensor.columns % binning:

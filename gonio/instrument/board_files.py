@@ -116,14 +116,14 @@ def _document(
     for name, pose in zip(names, poses, strict=True):
         points = pose.to_camera(board.corners_mm())
         pixels = camera.project(points)
-        seen = np.flatnonzero(np.isfinite(pixels[:, 0]))
+        visible = np.flatnonzero(np.isfinite(pixels[:, 0]))
         photos.append(
             {
                 "file": name,
                 "rotation": pose.rotation.tolist(),
                 "translation_mm": pose.translation.tolist(),
-                "theta_max_deg": float(np.degrees(angles(points[seen])[0].max(initial=0))),
-                "corners": [[int(k), *pixels[k].tolist()] for k in seen],
+                "theta_max_deg": float(np.degrees(angles(points[visible])[0].max(initial=0))),
+                "corners": [[int(k), *pixels[k].tolist()] for k in visible],
             }
         )
     rows, columns = camera.sensor.shape

@@ -61,7 +61,7 @@ class Photographer:
         white_e = EXPOSED * min(sensor.binned_full_well_e, range_e)
         signal = self.irradiance(pose, seed=seed) * (white_e / WHITE) * self._response(seed)
         return expose(
-            signal, 1.0, seed=seed, frame=number, threads=self.threads, **sensor.figures()
+            signal, 1.0, seed=seed, frame=number, threads=self.threads, **sensor.readout()
         )
 
     def _response(self, seed: int) -> FloatArray:

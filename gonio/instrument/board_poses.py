@@ -13,7 +13,7 @@ from gonio.geometry import FloatArray, unit_vectors
 from gonio.instrument.board_camera import BoardCamera
 
 # Directions of the boards' middles from the axis, as parts of the half field, and how often.
-# The rim gets half of the photographs: there the lens is learnt or extrapolated.
+# The rim gets half of the photographs: there the lens is fitted or extrapolated.
 _RINGS = ((0.0, 0.25, 0.2), (0.3, 0.55, 0.3), (0.65, 0.95, 0.5))
 _TILT = np.radians(35)
 _GOLDEN = np.pi * (3 - np.sqrt(5))

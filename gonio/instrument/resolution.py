@@ -3,8 +3,8 @@
 Bundles of rays are traced from a grid over the lens's field through the same stages as in
 `imaging`; the blur is their second moments, so that no formula of optics stands here. It holds what
 spreads the directions of one pixel: its area, the pupil with focus and the dome's aberrations, the
-point spread and the source cone. Slope errors of the dome are alike over its correlation length,
-far more than a pixel sees of it: they move directions and do not spread them, and are told apart.
+point spread and the source cone. Slope errors of the dome are correlated over far
+more than a pixel sees of it: they move directions and do not spread them. They are reported apart.
 (They change a pixel's width by about 2 sd/correlation: 2 % at 0.1 deg and 10 deg.)
 """
 
@@ -27,7 +27,7 @@ RAYS = 32
 STEP_DEG = 0.25  # of the grid, in the lens's polar angle
 SHOWN_THETA_I_DEG = (0.0, 60.0)
 _SECTORS = 36
-_NEAR_DEG = 2.0  # a direction with no ray so close is not seen
+_NEAR_DEG = 2.0  # a direction with no ray so close is not visible
 _BLOCK = 2048  # bundles worked on at a time: some ten MB
 
 
@@ -98,12 +98,12 @@ class Resolution:
         return np.asarray(area)
 
     def at(self, tensor: FloatArray, theta_r: float, phi_r: float) -> FloatArray | None:
-        """A tensor in one direction (radians), shape (2, 2); None where it is not seen."""
+        """A tensor in one direction (radians), shape (2, 2); None where it is not visible."""
         near = self.w_r @ unit_vectors(theta_r, phi_r)
         near = np.where(self.share > 0, near, -1.0)
         k = np.unravel_index(int(np.argmax(near)), near.shape)
-        seen = near[k] > np.cos(np.radians(_NEAR_DEG))
-        return np.asarray(tensor[k]) if seen else None
+        visible = near[k] > np.cos(np.radians(_NEAR_DEG))
+        return np.asarray(tensor[k]) if visible else None
 
     def reach(self, least: float) -> FloatArray:
         """Largest theta_r, radians, up to which `share` is at least `least`, by azimuth.
@@ -117,17 +117,17 @@ class Resolution:
         -------
         ndarray, shape (36,)
             For sectors of phi_r of 10 deg from 0: the smallest angle in the sector that is
-            not seen well enough, less one step of the grid, or the largest that the field holds.
+            not visible well enough, less one step of the grid, or the largest that the field holds.
         """
         theta, phi = self.theta_r, angles(self.w_r)[1]
         sector = np.floor(phi % (2 * np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
         failing = self.share < least
-        found = np.full(_SECTORS, np.inf)
+        limit = np.full(_SECTORS, np.inf)
         step = np.radians(self.instrument.lens.field_deg / 2) / (len(theta) - 1)
-        np.minimum.at(found, sector[failing], theta[failing] - step)
+        np.minimum.at(limit, sector[failing], theta[failing] - step)
         largest = np.zeros(_SECTORS)
         np.maximum.at(largest, sector[~failing], theta[~failing])
-        return np.asarray(np.clip(found, 0, largest))
+        return np.asarray(np.clip(limit, 0, largest))
 
 
 def resolve(
@@ -154,8 +154,8 @@ def resolve(
     Examples
     --------
     >>> from gonio.instrument import preset
-    >>> found = resolve(preset("ideal12"))
-    >>> round(float(np.degrees(found.reach(WHOLE).min())))
+    >>> resolution = resolve(preset("ideal12"))
+    >>> round(float(np.degrees(resolution.reach(WHOLE).min())))
     88
     """
     rig = _without_slope_errors(instrument)
@@ -278,7 +278,7 @@ def principal(tensor: FloatArray) -> FloatArray:
 
 
 def effective_alpha(alpha: float, sd: float, cosine: float = 1.0) -> float:
-    """Width of a lobe that is seen blurred.
+    """Width of a lobe that is visible blurred.
 
     Parameters
     ----------
@@ -320,54 +320,57 @@ def pointing_sd(instrument: Instrument, theta: float) -> float:
     return float(2 * np.radians(dome.slope_error_deg + rim))
 
 
-def report(found: Resolution) -> dict[str, Any]:
-    """All figures, angles in degrees, as a document of schema gonio.resolution/1.
+def report(resolution: Resolution) -> dict[str, Any]:
+    """All quantities, angles in degrees, as a document of schema gonio.resolution/1.
 
     Returns
     -------
     dict
         `alpha`: the smallest alpha in and across the plane of incidence, None where the specular
-        direction is not seen or the arm does not go there, and by what share the blur still widens
-        it where the fit integrates over pixel and source cone. `blur_deg`: principal standard
-        deviations by cause, median and largest over what is seen of the usable hemisphere.
-        `pointing_sd_deg`: slope errors of the dome. `theta_r`, `theta_i`: what can be seen.
+        direction is not visible or the arm does not go there, and by what share the blur still
+        widens it where the fit integrates over pixel and source cone.
+        `blur_deg`: principal standard
+        deviations by cause, median and largest over what is visible of the usable hemisphere.
+        `pointing_sd_deg`: slope errors of the dome. `theta_r`, `theta_i`: what is visible.
     """
-    rig = found.instrument
+    rig = resolution.instrument
     return {
         "schema": "gonio.resolution/1",
         "instrument": rig.name,
         "excess": EXCESS,
-        "alpha": [_alpha_at(found, theta) for theta in SHOWN_THETA_I_DEG],
-        "blur_deg": {name: _over_hemisphere(found, t) for name, t in _causes(found).items()},
+        "alpha": [_alpha_at(resolution, theta) for theta in SHOWN_THETA_I_DEG],
+        "blur_deg": {
+            name: _over_hemisphere(resolution, t) for name, t in _causes(resolution).items()
+        },
         "pointing_sd_deg": {
             "zenith": _degrees(pointing_sd(rig, 0.0)),
             "usable_rim": _degrees(pointing_sd(rig, np.radians(rig.usable_theta_r_deg))),
         },
-        "theta_r": _seen(found),
+        "theta_r": _coverage(resolution),
         "theta_i": {
             "arm_max_deg": rig.theta_i_max_deg,
-            "specular_seen_max_deg": _specular_max_deg(found),
+            "specular_seen_max_deg": _specular_max_deg(resolution),
         },
     }
 
 
-def _causes(found: Resolution) -> dict[str, FloatArray]:
-    source = np.where(np.isnan(found.pixel), np.nan, found.source * np.eye(2))
+def _causes(resolution: Resolution) -> dict[str, FloatArray]:
+    source = np.where(np.isnan(resolution.pixel), np.nan, resolution.source * np.eye(2))
     return {
-        "pixel": found.pixel,
-        "pupil": found.pupil,
-        "psf": found.psf,
+        "pixel": resolution.pixel,
+        "pupil": resolution.pupil,
+        "psf": resolution.psf,
         "source": source,
-        "total": found.blur,
+        "total": resolution.blur,
     }
 
 
-def _over_hemisphere(found: Resolution, tensor: FloatArray) -> dict[str, float | None]:
-    """Median by solid angle and maximum of both principal values over what is seen and usable."""
-    inside = found.usable & (found.share > 0)
+def _over_hemisphere(resolution: Resolution, tensor: FloatArray) -> dict[str, float | None]:
+    """Median by solid angle and maximum of both principal values that are usable and visible."""
+    inside = resolution.usable & (resolution.share > 0)
     if not inside.any():
         return {"median_major": None, "median_minor": None, "max": None}
-    values, weight = principal(tensor[inside]), found.solid_angle[inside]
+    values, weight = principal(tensor[inside]), resolution.solid_angle[inside]
     return {
         "median_major": _degrees(median(values[:, 0], weight)),
         "median_minor": _degrees(median(values[:, 1], weight)),
@@ -388,12 +391,12 @@ def median(values: FloatArray, weight: FloatArray) -> float:
     return float(values[order][np.searchsorted(share, 0.5)])
 
 
-def _alpha_at(found: Resolution, theta_i_deg: float) -> dict[str, Any]:
+def _alpha_at(resolution: Resolution, theta_i_deg: float) -> dict[str, Any]:
     """Smallest alpha in and across the plane of incidence, where a mirror would send the light."""
     theta = np.radians(theta_i_deg)
-    seen = theta_i_deg <= found.instrument.theta_i_max_deg
-    blur = found.at(found.blur, theta, np.pi) if seen else None
-    left = found.at(found.residual, theta, np.pi) if seen else None
+    visible = theta_i_deg <= resolution.instrument.theta_i_max_deg
+    blur = resolution.at(resolution.blur, theta, np.pi) if visible else None
+    left = resolution.at(resolution.residual, theta, np.pi) if visible else None
     axes: dict[str, Any] = {"in_plane": None, "across": None}
     if blur is not None and left is not None:
         for axis, (name, cosine) in enumerate({"in_plane": 1.0, "across": np.cos(theta)}.items()):
@@ -404,9 +407,9 @@ def _alpha_at(found: Resolution, theta_i_deg: float) -> dict[str, Any]:
     return {"theta_i_deg": theta_i_deg, **axes}
 
 
-def _seen(found: Resolution) -> dict[str, Any]:
-    """How far all azimuths, and the best, are seen; shares of the hemisphere's solid angle."""
-    rig, area = found.instrument, found.solid_angle
+def _coverage(resolution: Resolution) -> dict[str, Any]:
+    """How far all azimuths, and the best, are visible; shares of the hemisphere's solid angle."""
+    rig, area = resolution.instrument, resolution.solid_angle
     limit = np.radians(rig.usable_theta_r_deg)
     parts: dict[str, Any] = {
         "lens_field_deg": rig.lens.field_deg,
@@ -419,8 +422,8 @@ def _seen(found: Resolution) -> dict[str, Any]:
         ("usable", smallest, limit),
         ("usable_whole", WHOLE, limit),
     ):
-        reach = np.minimum(found.reach(least), rim)
-        inside = (found.share >= least) & (found.theta_r <= rim * (1 + 1e-12))
+        reach = np.minimum(resolution.reach(least), rim)
+        inside = (resolution.share >= least) & (resolution.theta_r <= rim * (1 + 1e-12))
         parts[name] = {
             "least_share": WHOLE if least == WHOLE else 0.0,
             "min_deg": _degrees(float(reach.min())),
@@ -431,14 +434,14 @@ def _seen(found: Resolution) -> dict[str, Any]:
     return parts
 
 
-def _specular_max_deg(found: Resolution) -> float | None:
+def _specular_max_deg(resolution: Resolution) -> float | None:
     """Largest incidence angle whose specular direction is usable, by the arm and by the dome.
 
     The lamp stands at phi_i = 0, the specular direction at 180 deg: two sectors meet there.
     """
     middle = _SECTORS // 2
-    dome = float(np.degrees(found.reach(np.nextafter(0, 1))[middle - 1 : middle + 1].min()))
-    rig = found.instrument
+    dome = float(np.degrees(resolution.reach(np.nextafter(0, 1))[middle - 1 : middle + 1].min()))
+    rig = resolution.instrument
     reach = min(rig.theta_i_max_deg, rig.usable_theta_r_deg, dome)
     return round(reach, 6) if reach > 0 else None
 

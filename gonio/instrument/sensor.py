@@ -2,7 +2,7 @@
 
 photo-electrons -> PRNU, dead pixels -> dark current of every pixel -> shot noise -> full well ->
 response -> gain -> read noise -> black level -> ADC -> clip. Binned pixels are summed after the
-ADC, as a computer sums them. This file holds the figures and the fixed patterns of a camera; the
+ADC, as a computer sums them. This file holds the properties and the fixed patterns of a camera; the
 noise is drawn in `noise.py`.
 """
 
@@ -21,7 +21,7 @@ from gonio.instrument.part import Part
 class Sensor(Part):
     """A monochrome sensor read in a window and binned by summing counts.
 
-    All electron and count figures are of one pixel; the binned figures are properties.
+    Electrons and counts are those of one pixel; properties named `binned` belong to a binned one.
     """
 
     rows: int = Field(gt=0, description="rows of the readout window, unbinned")
@@ -126,8 +126,8 @@ class Sensor(Part):
         sum_dn = float(np.sqrt(n * (self.gain_dn_per_e * self.read_noise_e) ** 2 + (n - 1) / 12))
         return sum_dn / self.binned_divisor
 
-    def figures(self) -> dict[str, Any]:
-        """The binned figures as `noise.expose` takes them, but for the dark current."""
+    def readout(self) -> dict[str, Any]:
+        """How a binned pixel turns electrons into counts, as `noise.expose` takes it."""
         return {
             "full_well_e": self.binned_full_well_e,
             "gain_dn_per_e": self.binned_gain_dn_per_e,

@@ -110,7 +110,7 @@ class Setup:
         )
         images = Images(self.instrument, surface, plan, fixed, threads=self.threads)
         dark = self.instrument.sensor.dark_current(drawn.pattern_seed)
-        figures = self.instrument.sensor.figures() | {
+        readout = self.instrument.sensor.readout() | {
             "seed": drawn.noise_seed,
             "threads": self.threads,
         }
@@ -120,7 +120,7 @@ class Setup:
             (rate,) = images.rates(*image, drawn.lamp[number])
             frames[image] = np.stack(
                 [
-                    expose(rate + dark, t, frame=number * n + k, **figures)
+                    expose(rate + dark, t, frame=number * n + k, **readout)
                     for k, t in enumerate(plan.exposures_s)
                 ]
             )

@@ -514,3 +514,15 @@ def test_a_reader_clicks_through_the_report(inputs, tmp_path):
         browser.wait("document.getElementById('budget-plot').layout.paper_bgcolor === '#14171a'")
         complaints = [line for line in browser.log() if "GL Driver" not in line]
         assert not [line for line in complaints if "Canvas2D" not in line], complaints
+
+
+def test_the_report_prints_without_half_empty_pages(inputs, tmp_path):
+    """Charts shrink on paper; seven sections of text and eleven charts take seven pages at most."""
+    file = tmp_path / "shiny.html"
+    file.write_text(page(inputs), encoding="utf-8")
+    with chromium(tmp_path) as browser:
+        browser.open(file)
+        browser.wait("document.documentElement.dataset.ready === 'true'")
+        printed = base64.b64decode(browser.call("/print", {}))
+    assert printed.startswith(b"%PDF")
+    assert 3 <= len(re.findall(rb"/Type /Page\b", printed)) <= 7

@@ -36,8 +36,16 @@ _NAMES = ("theta_i", "phi_i", "theta_r", "phi_r")
 )
 @click.option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads to use.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print the table as CSV, with all digits.")
+@click.option("--latex", "as_latex", is_flag=True, help="Print the table as LaTeX, in per cent.")
 def command(
-    source: Path, at: str | None, selections: tuple[str, ...], threads: int | None, as_json: bool
+    source: Path,
+    at: str | None,
+    selections: tuple[str, ...],
+    threads: int | None,
+    as_json: bool,
+    as_csv: bool,
+    as_latex: bool,
 ) -> None:
     """List where the uncertainty of BRDF samples comes from.
 
@@ -46,13 +54,19 @@ def command(
     over neighbouring samples. What nobody stated is listed as unknown and not counted.
     """
     from gonio.calibration.budget import budget
-    from gonio.cli.options import echo_json
+    from gonio.cli.options import echo_json, refuse_both
 
+    refuse_both(as_json, as_csv, as_latex)
     place = None if at is None else _directions(at)
     found = budget(read_source(source, pairs(selections), threads))
     report = found.describe(None if place is None else found.nearest(*place))
     if as_json:
         echo_json({**report, "source": str(source)})
+    elif as_csv or as_latex:
+        from gonio.reporting.tables import budget_table
+
+        table = budget_table(report)
+        click.echo(table.latex() if as_latex else table.csv(), nl=False)
     else:
         _show(report, source)
 

@@ -40,6 +40,8 @@ LARGE = 1e5  # from which a number is written with an exponent
     help="Where to write the comparison.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print the table as CSV, with all digits.")
+@click.option("--latex", "as_latex", is_flag=True, help="Print the table as LaTeX.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -53,6 +55,8 @@ def command(
     threads: int | None,
     output: Path | None,
     as_json: bool,
+    as_csv: bool,
+    as_latex: bool,
 ) -> None:
     """Compare models on the BRDF samples of INPUT.
 
@@ -60,11 +64,12 @@ def command(
     first, with the differences of the others to it. The exit code is 1 where a fit did not meet
     its own checks.
     """
-    from gonio.cli.options import check_target
+    from gonio.cli.options import check_target, refuse_both
     from gonio.cli.progress import progress
     from gonio.fitting.comparison.compare import compare
     from gonio.models import get
 
+    refuse_both(as_json, as_csv, as_latex)
     models = [get(name) for name in _names(model_names)]
     if output is not None:
         check_target(output)
@@ -84,6 +89,11 @@ def command(
         found.save(output)
     if as_json:
         click.echo(found.to_json(), nl=False)
+    elif as_csv or as_latex:
+        from gonio.reporting.tables import comparison_table
+
+        table = comparison_table(found)
+        click.echo(table.latex() if as_latex else table.csv(), nl=False)
     else:
         _tell(found, output)
     if not found.ok:

@@ -130,6 +130,18 @@ def file_text(parameter: Parameter, value: float) -> str:
     return f"{_file_value(parameter, value)}{unit}"
 
 
+def refuse_both(*formats: bool) -> None:
+    """Refuse more than one of --json, --csv and --latex.
+
+    Raises
+    ------
+    ConfigurationError
+        If stdout would hold two documents.
+    """
+    if sum(formats) > 1:
+        raise ConfigurationError("--json, --csv and --latex exclude each other; give one of them.")
+
+
 def echo_json(document: Any) -> None:
     """Print one JSON document on stdout."""
     click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))

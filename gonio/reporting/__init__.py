@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from gonio.reporting.document import page
 from gonio.reporting.inputs import Inputs, gather
+from gonio.reporting.statement import Statement, statement
 
-__all__ = ["Inputs", "gather", "page"]
+__all__ = ["Inputs", "Statement", "gather", "page", "statement"]

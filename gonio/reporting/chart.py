@@ -40,6 +40,9 @@ class Chart:
         The view that is shown first.
     min_width : int
         Pixels below which it scrolls sideways in place of shrinking.
+    print_height : int
+        Most pixels on paper. Three charts of the usual height fit on a page of A4, so that none
+        leaves half a page empty behind it.
     """
 
     ident: str
@@ -49,6 +52,7 @@ class Chart:
     height: int = 420
     first: int = 0
     min_width: int = 0
+    print_height: int = 225
 
 
 def short(values: ArrayLike, digits: int = DIGITS) -> list[Any]:

@@ -222,7 +222,8 @@ def rings(found: Mapping[str, Any]) -> Chart | None:
         "Mean residual of every ring about the mirror direction, by incidence, in units of what "
         "noise alone would give; beyond ±3 noise is rare. Orange: the model is too low."
     )
-    return Chart("rings", "", (View("", data, layout),), caption, height=130 + 26 * len(up))
+    return Chart("rings", "", (View("", data, layout),), caption, height=130 + 26 * len(up),
+                 print_height=300)  # fmt: skip
 
 
 def _first_number(words: str) -> float:

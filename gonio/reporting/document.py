@@ -14,19 +14,22 @@ from gonio.reporting import budget, diagnosis, lobe, posterior, residuals, secti
 from gonio.reporting.chart import Chart
 from gonio.reporting.inputs import Inputs
 from gonio.reporting.markup import Markup, section, tag, text
+from gonio.reporting.statement import Statement
 
 Put = Callable[[Chart | None], Markup]
 _NO_SAMPLES = "Left out: the samples that the fit was made to are not there."
 _NO_DRAWS = "Left out: the posterior's draws are not there."
 
 
-def page(inputs: Inputs) -> str:
+def page(inputs: Inputs, stated: Statement | None = None) -> str:
     """The report as one HTML document.
 
     Parameters
     ----------
     inputs : Inputs
         What `gather` found.
+    stated : Statement, optional
+        Operator, dates, serial numbers and coverage; they stand in the page and nowhere else.
 
     Returns
     -------
@@ -34,7 +37,7 @@ def page(inputs: Inputs) -> str:
         It holds plotly.js, 4.8 MB, a policy that forbids all network traffic and, as JSON, the
         data of its charts, thinned.
     """
-    body, charts = _body(inputs)
+    body, charts = _body(inputs, stated or Statement())
     scripts = [_plotly(), _own("report.js")]
     hashes = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
     policy = (
@@ -60,7 +63,7 @@ def page(inputs: Inputs) -> str:
     )
 
 
-def _body(inputs: Inputs) -> tuple[Markup, list[Chart]]:
+def _body(inputs: Inputs, stated: Statement) -> tuple[Markup, list[Chart]]:
     """Header and sections, and the charts that stand in them."""
     fit, samples = inputs.fit, inputs.samples
     charts: list[Chart] = []
@@ -81,8 +84,8 @@ def _body(inputs: Inputs) -> tuple[Markup, list[Chart]]:
         maps = put(residuals.maps(samples, found))
         histogram = put(residuals.histogram(found))
     parts = [
-        sections.heading(inputs),
-        sections.parameters(fit),
+        sections.heading(inputs, stated),
+        sections.parameters(fit, stated),
         section("lobe", "Measured and fitted lobe", sections.reference(fit), slices, surface),
         section("residual", "Residuals", maps),
         section("goodness", "Goodness of fit", *sections.goodness(fit, found), histogram),
@@ -92,7 +95,7 @@ def _body(inputs: Inputs) -> tuple[Markup, list[Chart]]:
             "uncertainty",
             "Uncertainty budget",
             put(budget.bars(fit)),
-            sections.parameter_budget(fit),
+            sections.parameter_budget(fit, stated),
             sections.sample_budget(inputs),
             sections.unknown(fit),
         ),
@@ -154,6 +157,7 @@ def _as_json(charts: list[Chart]) -> str:
     plain = [
         {
             "id": chart.ident,
+            "print_height": min(chart.height, chart.print_height),
             "views": [{"data": view.data, "layout": view.layout} for view in chart.views],
         }
         for chart in charts

@@ -59,7 +59,13 @@ def corner(fit: FitResult, draws: Any) -> Chart:
         "68 % and 95 % of the draws of a pair." + (" Lines: true values." if truth else "")
     )
     return Chart(
-        "corner", "", (View("", data, layout),), caption, height=150 * n + 60, min_width=140 * n
+        "corner",
+        "",
+        (View("", data, layout),),
+        caption,
+        height=150 * n + 60,
+        min_width=140 * n,
+        print_height=370,
     )
 
 

@@ -19,7 +19,7 @@
   }
 
   // The layout of a view with the colours of the page on every axis.
-  function dressed(layout, width, onPaper) {
+  function dressed(layout, width, onPaper, height) {
     const c = colours(onPaper);
     const axis = { gridcolor: c.line, linecolor: c.line, zerolinecolor: c.line, automargin: true };
     const out = {
@@ -29,6 +29,7 @@
       font: { color: c.ink, family: "system-ui, DejaVu Sans, sans-serif", size: 12 },
     };
     if (width) out.width = width;
+    if (height) out.height = height;
     out.xaxis = out.xaxis || {};
     out.yaxis = out.yaxis || {};
     for (const key of Object.keys(out)) {
@@ -62,10 +63,10 @@
     const image = document.getElementById(chart.id + "-still");
     if (!image) return Promise.resolve();
     const plot = document.getElementById(chart.id + "-plot");
-    const layout = dressed(copy(chosen(chart).layout), PRINT_WIDTH, true);
+    const layout = dressed(copy(chosen(chart).layout), PRINT_WIDTH, true, chart.print_height);
     const turned = plot.layout && plot.layout.scene && plot.layout.scene.camera;
     if (turned) layout.scene.camera = copy(turned);
-    return Plotly.toImage({ data: copy(chosen(chart).data), layout }, { format: "png", width: PRINT_WIDTH, height: 420, scale: 2 })
+    return Plotly.toImage({ data: copy(chosen(chart).data), layout }, { format: "png", width: PRINT_WIDTH, height: chart.print_height, scale: 3 })
       .then((url) => {
         image.src = url;
         image.closest("figure").classList.add("has-still");
@@ -73,10 +74,10 @@
       .catch(() => {});
   }
 
-  function draw(chart, width) {
+  function draw(chart, width, height) {
     const plot = document.getElementById(chart.id + "-plot");
     const view = chosen(chart);
-    return Plotly.react(plot, copy(view.data), dressed(copy(view.layout), width), config)
+    return Plotly.react(plot, copy(view.data), dressed(copy(view.layout), width, false, height), config)
       .catch((error) => { plot.textContent = "This chart cannot be drawn here: " + error; });
   }
 
@@ -93,7 +94,7 @@
   dark.addEventListener("change", () => all());
   window.addEventListener("beforeprint", () => {
     printing = true;
-    for (const chart of charts) draw(chart, PRINT_WIDTH);
+    for (const chart of charts) draw(chart, PRINT_WIDTH, chart.print_height);
   });
   window.addEventListener("afterprint", () => { printing = false; all(); });
   all().then(() => { document.documentElement.dataset.ready = "true"; });

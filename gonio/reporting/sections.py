@@ -18,6 +18,8 @@ from gonio.reporting.budget import shares
 from gonio.reporting.inputs import Inputs
 from gonio.reporting.markup import UNKNOWN, Markup, items, section, table, tag, text
 from gonio.reporting.residuals import Residuals
+from gonio.reporting.statement import Statement
+from gonio.reporting.tables import rounded
 from gonio.session import Session
 
 _NIL = 1e-6
@@ -29,8 +31,8 @@ _WEIGHTS = {
 }
 
 
-def heading(inputs: Inputs) -> Markup:
-    """Title, status and warnings."""
+def heading(inputs: Inputs, stated: Statement) -> Markup:
+    """Title, status, what the operator states, and warnings."""
     fit = inputs.fit
     facts = [
         ("Sample", fit.source.get("sample")),
@@ -40,6 +42,7 @@ def heading(inputs: Inputs) -> Markup:
     ]
     joint = fit.source.get("joint")
     facts += [("Part of a joint fit", joint["part"])] if joint else []
+    facts += stated.facts()
     pairs = [part for k, v in facts for part in (tag("dt", k), tag("dd", v))]
     return tag(
         "header",
@@ -81,17 +84,14 @@ def _absent(inputs: Inputs) -> Markup:
     return tag("div", tag("p", note), items(inputs.absent), class_="note", id="absent")
 
 
-def parameters(fit: FitResult) -> Markup:
+def parameters(fit: FitResult, stated: Statement) -> Markup:
     """Every parameter with its intervals, beside the true value where it is known."""
     model = models.get(fit.model)
     truth = fit.source.get("truth") or {}
-    head = [
-        "parameter",
-        "meaning",
-        "value ± standard uncertainty",
-        "68 % interval",
-        "95 % interval",
-    ]
+    k = stated.coverage
+    head = ["parameter", "meaning", "value ± standard uncertainty"]
+    head += [] if k is None else [f"U (k = {k:.4g})"]
+    head += ["68 % interval", "95 % interval"]
     head += ["true", "difference / u"] if truth else []
     rows = []
     for name, own in fit.parameters.items():
@@ -99,7 +99,9 @@ def parameters(fit: FitResult) -> Markup:
         known = [] if not truth else _true(estimate, truth.get(name))
         intervals = [interval(estimate, pair) for pair in _intervals(estimate)]
         meaning = model.parameter(name).meaning
-        rows.append([name, meaning, _unbroken(recovered(estimate)), *intervals, *known])
+        expanded = [] if k is None else [_expanded(estimate, k)]
+        shown = _unbroken(recovered(estimate))
+        rows.append([name, meaning, shown, *expanded, *intervals, *known])
     kind = (
         "quantiles of the posterior"
         if fit.posterior is not None
@@ -110,9 +112,21 @@ def parameters(fit: FitResult) -> Markup:
         note += (
             " The true values are those the session was simulated with; the fit did not use them."
         )
+    covered = stated.coverage_sentence()
     return section(
-        "parameters", "Parameters", table(head, rows, "Fitted parameters"), tag("p", note)
+        "parameters",
+        "Parameters",
+        table(head, rows, "Fitted parameters"),
+        tag("p", f"{covered} {note}" if covered else note),
     )
+
+
+def _expanded(estimate: Estimate, k: float) -> str | None:
+    """U = k u with the digits of u."""
+    if estimate.stderr is None:
+        return None
+    unit = unit_text(estimate.unit)
+    return _unbroken(rounded(k * estimate.stderr, estimate.stderr) + (f" {unit}" if unit else ""))
 
 
 def _intervals(estimate: Estimate) -> tuple[Any, Any]:
@@ -195,13 +209,16 @@ def convergence(fit: FitResult) -> Markup:
     return table(["", "figure"], rows, "Convergence of the posterior")
 
 
-def parameter_budget(fit: FitResult) -> Markup:
+def parameter_budget(fit: FitResult, stated: Statement) -> Markup:
     """Standard uncertainty of every parameter by source."""
     sources = list(dict.fromkeys(s for parts in shares(fit).values() for s in parts))
     shown = {name: estimate.in_file_units() for name, estimate in fit.parameters.items()}
     head = ["source", *(_with_unit(name, estimate) for name, estimate in shown.items())]
     rows: list[list[Any]] = [[s, *(_part(e, s) for e in shown.values())] for s in sources]
     rows.append(["combined", *(_figure(e.stderr) for e in shown.values())])
+    if (k := stated.coverage) is not None:
+        every = [None if e.stderr is None else k * e.stderr for e in shown.values()]
+        rows.append([f"expanded, k = {k:.4g}", *map(_figure, every)])
     return table(head, rows, "Standard uncertainty of the parameters by source")
 
 

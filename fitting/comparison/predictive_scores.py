@@ -7,13 +7,13 @@ same for all.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
+from gonio.fitting.comparison.pareto_smoothing import pareto_smoothed
 from gonio.fitting.minimum import curvature
 from gonio.fitting.minimum.gauss_newton import UNDETERMINED
 from gonio.fitting.minimum.minimise import minimise, pinned_at
@@ -259,16 +259,6 @@ def _log_student(z: FloatArray, root: FloatArray) -> FloatArray:
     return np.asarray(norm - (DEGREES + d) / 2 * np.log1p(np.sum(z * z, axis=1) / DEGREES))
 
 
-def smoothed(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pareto-smoothed normalised log weights and the k-hat of each row."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # arviz announces its next major version
-        import arviz
-
-        smooth, k_hat = arviz.psislw(log_weights)
-    return np.asarray(smooth), np.atleast_1d(np.asarray(k_hat, float))
-
-
 def leave_one_out(draws: Draws) -> tuple[FloatArray, FloatArray]:
     """Log density of each chosen sample given all others, and its k-hat.
 
@@ -276,7 +266,7 @@ def leave_one_out(draws: Draws) -> tuple[FloatArray, FloatArray]:
     Student-t in place of the posterior: their importance is in the weights.
     """
     pointwise = draws.pointwise.T
-    smooth, k_hat = smoothed(draws.log_weights - pointwise)
+    smooth, k_hat = pareto_smoothed(draws.log_weights - pointwise)
     return np.asarray(logsumexp(smooth + pointwise, axis=1)), k_hat
 
 
@@ -302,5 +292,5 @@ def log_evidence(draws: Draws, log_prior: float) -> tuple[float, float, float, f
     mean = float(w.mean())
     value = top + float(np.log(mean)) + log_prior
     stderr = float(w.std(ddof=1) / mean / np.sqrt(draws.n))
-    _, k_hat = smoothed(log_w)
+    _, k_hat = pareto_smoothed(log_w)
     return value, stderr, float(k_hat[0]), float(w.sum() ** 2 / np.sum(w * w))

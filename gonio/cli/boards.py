@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_instrument
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -95,6 +96,7 @@ def chosen_board(
 )
 @click.option(
     "--instrument",
+    shell_complete=complete_instrument,
     default="modern12",
     show_default=True,
     metavar="PRESET|FILE.toml",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_model
 from gonio.errors import ConfigurationError, unknown_name
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ _WIDTH = 80
 
 
 @click.command(name="check")
-@click.argument("target")
+@click.argument("target", shell_complete=complete_model)
 @click.option(
     "-p",
     "--parameter",

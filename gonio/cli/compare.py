@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_models
 from gonio.cli.measured import read_samples, sample_options
 from gonio.errors import ConfigurationError
 from gonio.fitting.result.lines import WEIGHTS, cuts_line
@@ -23,6 +24,7 @@ LARGE = 1e5  # from which a number is written with an exponent
 @click.option(
     "--models",
     "model_names",
+    shell_complete=complete_models,
     required=True,
     metavar="MODEL,MODEL,...",
     help="Models to compare, two at least.",

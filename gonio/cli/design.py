@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_instrument, complete_model
 from gonio.errors import ConfigurationError, unknown_name
 
 if TYPE_CHECKING:
@@ -19,7 +20,12 @@ if TYPE_CHECKING:
 
 
 @click.command(name="design")
-@click.option("--model", required=True, help="Model of the surface; see 'gonio models'.")
+@click.option(
+    "--model",
+    required=True,
+    shell_complete=complete_model,
+    help="Model of the surface; see 'gonio models'.",
+)
 @click.option(
     "-p",
     "--parameter",
@@ -30,6 +36,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--instrument",
+    shell_complete=complete_instrument,
     default="modern12",
     show_default=True,
     metavar="PRESET|FILE.toml",

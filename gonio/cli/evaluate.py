@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
+from gonio.cli.completion import complete_material, complete_model
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -14,8 +15,12 @@ if TYPE_CHECKING:
 
 
 @click.command(name="evaluate")
-@click.argument("model", required=False)
-@click.option("--material", help="A named material instead of MODEL; see 'gonio materials'.")
+@click.argument("model", required=False, shell_complete=complete_model)
+@click.option(
+    "--material",
+    shell_complete=complete_material,
+    help="A named material instead of MODEL; see 'gonio materials'.",
+)
 @click.option(
     "-p",
     "--parameter",

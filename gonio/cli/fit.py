@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_model
 from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
 from gonio.errors import ConfigurationError
@@ -27,7 +28,14 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
 @click.argument(
     "sources", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option("--model", "model_name", required=True, metavar="MODEL", help="Model to fit.")
+@click.option(
+    "--model",
+    "model_name",
+    required=True,
+    metavar="MODEL",
+    shell_complete=complete_model,
+    help="Model to fit.",
+)
 @sample_options
 @click.option(
     "--share",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_instrument
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -48,7 +49,9 @@ _SEEN = {
 
 
 @click.command(name="instruments")
-@click.argument("name", required=False, metavar="[PRESET|FILE.toml]")
+@click.argument(
+    "name", required=False, metavar="[PRESET|FILE.toml]", shell_complete=complete_instrument
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 @click.option(
     "--toml", "as_toml", is_flag=True, help="Print the file of the preset, to start your own from."

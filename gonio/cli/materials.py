@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
+from gonio.cli.completion import complete_material
+
 if TYPE_CHECKING:
     from gonio.materials import Material
 
 
 @click.command(name="materials")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=complete_material)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(name: str | None, as_json: bool) -> None:
     """List the papers' materials, or show one.

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
+from gonio.cli.completion import complete_model
+
 if TYPE_CHECKING:
     from gonio.models import Model
 
 
 @click.command(name="models")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=complete_model)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(name: str | None, as_json: bool) -> None:
     """List the reflectance models, or show one.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from gonio.cli.completion import complete_material, complete_model
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -20,8 +21,14 @@ EDGE = 256  # pixels of the longer edge where no size is given
 
 @click.command(name="render")
 @click.argument("scene_name", metavar="SCENE")
-@click.option("--model", help="The reflectance model; see 'gonio models'.")
-@click.option("--material", help="A named material instead of --model; see 'gonio materials'.")
+@click.option(
+    "--model", shell_complete=complete_model, help="The reflectance model; see 'gonio models'."
+)
+@click.option(
+    "--material",
+    shell_complete=complete_material,
+    help="A named material instead of --model; see 'gonio materials'.",
+)
 @click.option(
     "-p",
     "--parameter",

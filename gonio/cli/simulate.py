@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import rich_click as click
 
+from gonio.cli.completion import complete_instrument, complete_material, complete_model
 from gonio.errors import ConfigurationError, SessionInterruptedError
 
 if TYPE_CHECKING:
@@ -20,8 +21,12 @@ MAX_WEDGE_DEG = 45.0
 
 
 @click.command(name="simulate")
-@click.argument("material", required=False)
-@click.option("--model", help="A model instead of MATERIAL; see 'gonio models'.")
+@click.argument("material", required=False, shell_complete=complete_material)
+@click.option(
+    "--model",
+    shell_complete=complete_model,
+    help="A model instead of MATERIAL; see 'gonio models'.",
+)
 @click.option(
     "-p",
     "--parameter",
@@ -36,6 +41,7 @@ MAX_WEDGE_DEG = 45.0
     default="modern12",
     show_default=True,
     metavar="PRESET|FILE.toml",
+    shell_complete=complete_instrument,
     help="The instrument; see 'gonio instruments'.",
 )
 @click.option(

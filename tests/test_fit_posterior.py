@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
-from types import SimpleNamespace
 
 import emcee
 import numpy as np
 import pytest
 import xarray as xr
+from arviz_versions import from_netcdf
+from densities import Density
 from scipy import stats
 
 import gonio
@@ -19,7 +19,6 @@ from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.posterior import density as targets
 from gonio.fitting.posterior import ensemble_sampler, marginal_density, marginal_sampler
 from gonio.fitting.posterior import sample as posterior
-from gonio.fitting.posterior.density import Target
 from gonio.fitting.posterior.emcee_moves import IndependenceMove, SnookerMove
 from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior
@@ -27,7 +26,6 @@ from gonio.fitting.posterior.proposal import SHARES, Proposal
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import Directions
-from gonio.models import Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
 
 ISOTROPIC = {"rho_d": 0.3, "rho_s": 0.1, "alpha": 0.2}
@@ -46,22 +44,6 @@ def noisy(name, truth, *, n=200, sd=1e-3, seed=2, where=None, **columns):
     f = models.get(name)(where, **truth)
     value = f + sd * rng.standard_normal(len(f))
     return BRDFSamples(where, value, u_independent=np.full(len(f), sd), **columns)
-
-
-class Density(Target):
-    """A known log-density in a box."""
-
-    def __init__(self, log_density, lower, upper, mode):
-        bounds = zip(lower, upper, strict=True)
-        parameters = tuple(
-            Parameter(f"p{k}", "p", "", 0.0, a, b) for k, (a, b) in enumerate(bounds)
-        )
-        problem = SimpleNamespace(parameters=parameters, sum_limit=np.zeros(len(parameters)))
-        super().__init__(problem, mode, 1.0, [Prior()] * len(parameters))
-        self.log_density = log_density
-
-    def sums(self, p):
-        return -2 * self.log_density(p)[:, None]
 
 
 def run(density, covariance, steps, seed=1):
@@ -277,11 +259,7 @@ def test_arviz_opens_the_draws_in_degrees(tmp_path):
     samples = noisy("oren_nayar", {"rho": 0.8, "sigma": 0.4}, n=200, sd=2e-3)
     result = gonio.fit(samples, model="oren_nayar", posterior=True, draws=path)
     assert result.posterior.draws == str(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # arviz announces its next major version
-        import arviz
-
-        data = arviz.from_netcdf(path)
+    data = from_netcdf(path)
     sigma = data.posterior["sigma"]
     assert sigma.dims == ("chain", "draw")
     assert sigma.attrs["units"] == "deg"

@@ -506,3 +506,27 @@ def test_one_file_brings_its_contract_tests(one_more: Path) -> None:
     assert passed is not None, summary
     # As many as the models that were there before have, less what is not claimed.
     assert int(passed[1]) >= 15
+
+
+# ---------------------------------------------------------------- each test file runs alone
+
+
+def test_no_test_file_leans_on_another() -> None:
+    """What two test files need stands in a helper beside them, found wherever pytest starts."""
+    tests = sorted((ROOT / "tests").glob("test_*.py"))
+    assert len(tests) > 50
+    found = []
+    for path in tests:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names: list[str] = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            found += [
+                f"{path.name}, line {node.lineno}: imports {name}; put what both need into a "
+                "helper module of tests/"
+                for name in names
+                if name.split(".")[0] == "tests" or name.startswith("test_")
+            ]
+    assert not found, "\n".join(found)

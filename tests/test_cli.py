@@ -653,6 +653,28 @@ def test_doctor_without_a_dependency(gonio, monkeypatch):
     assert one_document(gonio("doctor", "--json")[1])["missing"] == ["zarr"]
 
 
+def test_doctor_says_what_the_extras_are_for_and_how_to_get_them(gonio, monkeypatch):
+    real = doctor._version
+    monkeypatch.setattr(doctor, "_version", lambda name: None if name == "rawpy" else real(name))
+    code, out, _ = gonio("doctor")
+    assert code == 0
+    assert (
+        "extra raw      for raw files of digital cameras: not installed; "
+        "python -m pip install 'gonio[raw]'\n"
+    ) in out
+    monkeypatch.setattr(doctor, "_version", lambda name: "1.2" if name == "rawpy" else real(name))
+    assert "extra raw      for raw files of digital cameras: rawpy 1.2\n" in gonio("doctor")[1]
+    document = one_document(gonio("doctor", "--json")[1])
+    assert document["extras"]["raw"] == {
+        "for": "raw files of digital cameras",
+        "packages": {"rawpy": "1.2"},
+        "installed": True,
+        "install": "python -m pip install 'gonio[raw]'",
+    }
+    _, every = doctor._requirements()
+    assert set(document["extras"]) == set(doctor.EXTRAS) == set(every) - {"docs", "test"}
+
+
 def test_doctor_without_a_cache(gonio, monkeypatch, tmp_path):
     from gonio import cache
 

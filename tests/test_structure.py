@@ -318,8 +318,8 @@ def tree() -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """Names of the files in a wheel that is built from a clean copy of the tree."""
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel that is built from a clean copy of the tree."""
     copy, out = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheel")
     for path in tree():
         (copy / path).parent.mkdir(parents=True, exist_ok=True)
@@ -332,9 +332,30 @@ def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    (wheel,) = out.glob("*.whl")
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def wheel_names(wheel: Path) -> set[str]:
+    """Names of the files in the wheel."""
     with zipfile.ZipFile(wheel) as archive:
         return set(archive.namelist())
+
+
+def test_the_page_on_an_index_has_no_link_that_leads_nowhere(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [each for each in archive.namelist() if each.endswith(".dist-info/METADATA")]
+        metadata = archive.read(name).decode("utf-8")
+    head, page = metadata.split("\n\n", 1)
+    assert "\nDescription-Content-Type: text/markdown" in head
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = re.compile(r"!?\[[^\]]*\]\(([^)]*)\)")
+    assert "docs/images/demo.png" in links.findall(readme)
+    assert [link for link in links.findall(page) if not link.startswith("https://")] == []
+    # The words of the links and everything else is there.
+    words = links.sub(lambda m: "" if m[0].startswith("!") else m[0][1 : m[0].index("]")], readme)
+    assert page.split() == words.split()
 
 
 def test_wheel_holds_only_gonio(wheel_names: set[str]) -> None:

@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Callable
 from importlib import metadata
+from itertools import chain
 from typing import Any
 
 import rich_click as click
@@ -16,6 +17,13 @@ import rich_click as click
 from gonio._version import __version__
 
 _DIGITS = 1e-12
+# What an extra of pyproject.toml brings to a user; the others are for work on gonio itself.
+EXTRAS = {
+    "arviz": "posteriors as objects of arviz",
+    "bench": "benchmarks against other programs",
+    "exr": "frames and pictures in EXR files",
+    "raw": "raw files of digital cameras",
+}
 
 
 @click.command(name="doctor")
@@ -37,7 +45,7 @@ def command(ctx: click.Context, as_json: bool) -> None:
 
 
 def _report() -> dict[str, Any]:
-    needed, extra = _requirements()
+    needed, extras = _requirements()
     versions = {name: _version(name) for name in needed}
     missing = sorted(name for name, version in versions.items() if version is None)
     checks = [] if missing else [_check(*each) for each in _CHECKS]
@@ -49,7 +57,10 @@ def _report() -> dict[str, Any]:
         "platform": platform.platform(),
         "dependencies": versions,
         "missing": missing,
-        "missing_optional": sorted(name for name in extra if _version(name) is None),
+        "missing_optional": sorted(
+            name for name in {*chain(*extras.values())} if _version(name) is None
+        ),
+        "extras": {name: _extra(name, extras[name]) for name in sorted(EXTRAS) if name in extras},
         "cores": _cores(),
         "threads": None if missing else _threads(),
         "cache": None if missing else _cache(),
@@ -57,14 +68,26 @@ def _report() -> dict[str, Any]:
     }
 
 
-def _requirements() -> tuple[list[str], list[str]]:
-    """Names of what gonio needs, and of what only its extras need."""
+def _requirements() -> tuple[list[str], dict[str, list[str]]]:
+    """Names of the packages that gonio needs, and of those that each extra needs."""
     needed: list[str] = []
-    extra: list[str] = []
+    extras: dict[str, list[str]] = {}
     for line in metadata.requires("gonio") or []:
         name = re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0]
-        (extra if "extra ==" in line else needed).append(name)
-    return needed, extra
+        extra = re.search(r"extra == ['\"]([^'\"]+)", line)
+        (extras.setdefault(extra[1], []) if extra else needed).append(name)
+    return needed, extras
+
+
+def _extra(name: str, packages: list[str]) -> dict[str, Any]:
+    """What an extra is for, its packages with their versions, and how to get it."""
+    versions = {package: _version(package) for package in packages}
+    return {
+        "for": EXTRAS[name],
+        "packages": versions,
+        "installed": None not in versions.values(),
+        "install": f"python -m pip install 'gonio[{name}]'",
+    }
 
 
 def _version(name: str) -> str | None:
@@ -154,8 +177,12 @@ def _show(report: dict[str, Any]) -> None:
         _line(label, text)
     for name, version in report["dependencies"].items():
         _line(f"  {name}", version or "MISSING; install gonio again with its dependencies")
-    if report["missing_optional"]:
-        _line("not installed", f"{', '.join(report['missing_optional'])} (only for development)")
+    for name, extra in report["extras"].items():
+        there = [
+            f"{package} {version}" for package, version in extra["packages"].items() if version
+        ]
+        state = ", ".join(there) if extra["installed"] else f"not installed; {extra['install']}"
+        _line(f"extra {name}", f"for {extra['for']}: {state}")
     _line("cores", f"{report['cores']} for this process")
     if report["threads"] is not None:
         _line("threads", f"{report['threads']} (set GONIO_THREADS to change)")

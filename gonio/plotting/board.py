@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
+import io
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.board import Board
-from gonio.errors import ConfigurationError, DataError
+from gonio.errors import ConfigurationError
 from gonio.files import atomic_path
 
 SUFFIXES = (".svg", ".png")
@@ -101,7 +100,7 @@ def _svg(board: Board) -> str:
 
 
 def _png(board: Board, dpi: int) -> bytes:
-    import cv2
+    from PIL import Image
 
     dots = dpi / _MM_PER_INCH
     _, markers = board.pattern()
@@ -119,16 +118,6 @@ def _png(board: Board, dpi: int) -> bytes:
         left, right = (round((margin + v) * dots) for v in (x, x + w))
         top, bottom = (round((margin + v) * dots) for v in (y, y + h))
         image[top:bottom, left:right] = 0
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise DataError("the board cannot be written as PNG.")
-    return _with_dots(bytes(data), dots)
-
-
-def _with_dots(png: bytes, dots_per_mm: float) -> bytes:
-    """The file with a pHYs chunk, which tells a printer its size, after the header chunk."""
-    per_metre = round(dots_per_mm * 1000)
-    content = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)
-    chunk = struct.pack(">I", len(content) - 4) + content + struct.pack(">I", zlib.crc32(content))
-    header = 8 + 25  # signature and IHDR
-    return png[:header] + chunk + png[header:]
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "PNG", dpi=(dpi, dpi))  # so that it prints in true size
+    return file.getvalue()

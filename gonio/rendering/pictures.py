@@ -8,9 +8,8 @@ in the picture's text.
 
 from __future__ import annotations
 
+import io
 import json
-import struct
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -178,33 +177,27 @@ def save_picture(
 
 def png(image: FloatArray, white: float, facts: Mapping[str, Any], lift: float = 0.0) -> bytes:
     """A grey PNG with its tone mapping and `facts` in its text."""
+    from PIL import Image, PngImagePlugin
+
     pixels = srgb(image, white, lift)
-    rows, columns = pixels.shape
     text = {
         "Software": "gonio",
         "Description": tone_text(white, lift),
         "Comment": json.dumps(dict(facts), ensure_ascii=True, allow_nan=False),
     }
-    chunks = [
-        _chunk(b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)),
-        _chunk(b"sRGB", b"\0"),
-        *(_chunk(b"tEXt", f"{k}\0{v}".encode("latin-1")) for k, v in text.items()),
-        # Each row begins with the number of its filter: none.
-        _chunk(b"IDAT", zlib.compress(np.pad(pixels, ((0, 0), (1, 0))).tobytes(), 9)),
-        _chunk(b"IEND", b""),
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+    about = PngImagePlugin.PngInfo()
+    about.add(b"sRGB", b"\0")
+    for key, words in text.items():
+        about.add_text(key, words)
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "PNG", pnginfo=about, optimize=True)
+    return file.getvalue()
 
 
 def tone_text(white: float, lift: float = 0.0) -> str:
     """How radiance became a grey value, in words."""
     lifted = f"dark values are lifted, ln(1 + {lift:.4g} v) with v = L/white; " if lift > 0 else ""
     return f"radiance {white:.6g} is white and more is clipped; {lifted}8 bits on the sRGB curve"
-
-
-def _chunk(name: bytes, content: bytes) -> bytes:
-    body = name + content
-    return struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
 
 
 def _pfm(image: FloatArray) -> bytes:

@@ -23,6 +23,7 @@ from gonio.fitting.posterior.at_minimum import (
 )
 from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
+from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.losses import CHI2, Loss
 from gonio.fitting.problem.nuisance import NuisanceProblem
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
@@ -32,6 +33,7 @@ from gonio.fitting.result import FitResult, NuisanceEstimate
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
+from gonio.fitting.uncertainty.reported import all_covariances, all_estimates
 from gonio.fitting.warnings import condensed, warnings_of
 from gonio.models import Model
 from gonio.models import get as get_model
@@ -45,6 +47,8 @@ def fit(
     share: str | Sequence[str] | None = None,
     weights: Weights | None = None,
     start: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    tied: Mapping[str, str] | None = None,
     engine: str = engines.DEFAULT,
     loss: str = CHI2.name,
     nuisance: Nuisance = "none",
@@ -74,6 +78,12 @@ def fit(
     start : mapping, optional
         Starting values (radians for angles) beside those that the data suggest. Where these lead
         to a deeper minimum, it is taken and the other one is told of.
+    fixed : mapping of str to float, optional
+        Parameters that are no unknowns, with their values, radians for angles: `{"rho_d": 0.0}`.
+        With `share` in all parts.
+    tied : mapping of str to str, optional
+        Parameters that take the value of another one: `{"alpha_y": "alpha_x"}`. The two are one
+        unknown, within the bounds of both.
     engine : str
         What searches for the minimum before the Gauss-Newton steps in which every fit ends:
         "gauss_newton" (nothing else), "slsqp", "lbfgs", "mma", "bobyqa", "sbplx" or "mlsl".
@@ -112,8 +122,8 @@ def fit(
     Raises
     ------
     ConfigurationError
-        For an unknown model, weights, starting value or name to share, or samples of one channel
-        with something to share.
+        For an unknown model, weights, starting value or name to share, samples of one channel with
+        something to share, or parameters that cannot be fixed or tied so.
     DataError
         If there are not more samples than parameters, or a posterior is asked for where there
         is no noise.
@@ -137,11 +147,15 @@ def fit(
     0.314159
     """
     chosen = get_model(model) if isinstance(model, str) else model
+    held = Constraints.of(chosen, fixed, tied)
+    held.refuse(start, "starting value")
+    held.refuse(priors, "prior")
     if share is None:
         resolve(chosen.parameters, priors)  # before anything takes long
     searched_by, law = engines.get(engine, seed), losses.get(loss)
     _check_combination(law, posterior, share is not None or nuisance != "none", engine)
     options: dict[str, Any] = {"weights": weights, "start": start, "threads": threads}
+    options["constraints"] = held
     if share is None:
         options |= {"engine": searched_by, "loss": loss}
     found = _minimum(samples, chosen, share, **options)
@@ -179,8 +193,10 @@ def fit(
     return FitResult(
         model=chosen.name,
         status=found.status,
-        parameters=estimates,
-        covariance=None if noiseless(problem, scale) else covariance(errors),
+        parameters=all_estimates(problem.reported, estimates),
+        covariance=None
+        if noiseless(problem, scale)
+        else all_covariances(problem.reported, covariance(errors)),
         chi2=chi2,
         dof=dof,
         noise_scale=scale,

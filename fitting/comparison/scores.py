@@ -71,7 +71,7 @@ def score_model(
 
 
 def _names(minimum: Minimum, which: Any) -> tuple[str, ...]:
-    names = minimum.problem.model.names
+    names = [q.name for q in minimum.problem.parameters]
     return tuple(name for name, chosen in zip(names, which, strict=True) if chosen)
 
 

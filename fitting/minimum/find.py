@@ -11,9 +11,11 @@ from gonio.fitting.minimum.minimise import Engine, at_lower, minima, minimise
 from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.record import Minimum, goodness
 from gonio.fitting.minimum.rivals import place, rival
+from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.copies import usable
 from gonio.fitting.problem.losses import CHI2
 from gonio.fitting.problem.protocol import Problem, Weights
+from gonio.fitting.problem.reduced import ReducedProblem
 from gonio.fitting.problem.single import SingleProblem
 from gonio.models import Model
 from gonio.samples import BRDFSamples
@@ -30,12 +32,18 @@ def find_minimum(
     threads: int | None = None,
     engine: Engine | None = None,
     loss: str = CHI2.name,
+    constraints: Constraints | None = None,
 ) -> Minimum:
     """The deepest minimum found and its goodness, without uncertainties; arguments as of `fit`.
 
-    `engine` is what `engines.get` gives.
+    `engine` is what `engines.get` gives, `constraints` what `Constraints.of` checks.
     """
-    problem = SingleProblem.from_samples(usable(samples), model, weights, threads, loss)
+    held = constraints or Constraints()
+    problem: Problem = SingleProblem.from_samples(
+        usable(samples), model, weights, threads, loss, n_unknowns=held.n_unknowns(model)
+    )
+    if held:
+        problem = ReducedProblem.of(problem, held)
     problem, optimum, doubts = _find(problem, start, engine)
     faults = gradient_faults(problem, optimum.p)
     return Minimum(problem, optimum, doubts, faults, *goodness(problem, optimum))

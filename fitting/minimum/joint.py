@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.record import Minimum, goodness
 from gonio.fitting.minimum.rivals import rival
 from gonio.fitting.problem.channels import Channel, Source, split
+from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.joint import JointProblem
 from gonio.fitting.problem.protocol import Weights
 from gonio.models import Model
@@ -53,6 +55,7 @@ def find_joint_minimum(
     weights: Weights | None = None,
     start: Mapping[str, float] | None = None,
     threads: int | None = None,
+    constraints: Constraints | None = None,
 ) -> JointMinimum:
     """Each part alone first, for starts and noise, then all with what they share.
 
@@ -65,6 +68,8 @@ def find_joint_minimum(
         Parameters that all parts have in common.
     start : mapping, optional
         Starting values by the model's names, for all parts, or by names such as `rho_d[red]`.
+    constraints : Constraints, optional
+        Parameters fixed or tied, in all parts.
 
     Raises
     ------
@@ -83,7 +88,10 @@ def find_joint_minimum(
         model.parameter(name)
     channels = split(samples)
     _check(channels, weights)
-    alone = _alone(channels, model, weights, start, threads)
+    options: dict[str, Any] = {
+        "weights": weights, "threads": threads, "constraints": constraints,
+    }  # fmt: skip
+    alone = _alone(channels, model, start, options)
     # Copies of samples were taken out.
     channels = [replace(c, samples=m.problem.samples) for c, m in zip(channels, alone, strict=True)]
     problem = JointProblem.from_parts(
@@ -118,18 +126,15 @@ def _check(channels: Sequence[Channel], weights: Weights | None) -> None:
 def _alone(
     channels: Sequence[Channel],
     model: Model,
-    weights: Weights | None,
     start: Mapping[str, float] | None,
-    threads: int | None,
+    options: Mapping[str, Any],
 ) -> list[Minimum]:
-    """The minimum of every part by itself."""
+    """The minimum of every part by itself; the options are those of `find_minimum`."""
     found = []
     for channel in channels:
         own = None if start is None else _start_of(channel.label, model, start)
         try:
-            found.append(
-                find_minimum(channel.samples, model, weights=weights, start=own, threads=threads)
-            )
+            found.append(find_minimum(channel.samples, model, start=own, **options))
         except DataError as error:
             raise DataError(f"{channel.label}: {error}", value=error.value) from None
     return found

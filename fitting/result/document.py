@@ -29,10 +29,13 @@ Matrix = list[list[float]]
 def to_dict(record: FitRecord) -> dict[str, Any]:
     """The result as plain data of schema gonio.fit/1, angles in degrees."""
     shown = in_file_units(record)
-    return {
-        "schema": SCHEMA,
-        **{each.name: plain(getattr(shown, each.name)) for each in fields(FitRecord)},
-    }
+    data = {each.name: plain(getattr(shown, each.name)) for each in fields(FitRecord)}
+    for entry in data["parameters"].values():
+        # Only parameters that are fixed or tied say so.
+        for key in ("fixed", "tied_to"):
+            if not entry[key]:
+                del entry[key]
+    return {"schema": SCHEMA, **data}
 
 
 def to_json(record: FitRecord) -> str:

@@ -28,6 +28,10 @@ class Estimate:
         towards and at a bound from the growth of chi-squared by 1 and by 3.84.
     components : mapping of str to float
         Standard uncertainty by source: "independent" and the shared terms by name.
+    fixed : bool
+        The parameter was no unknown: its value was given, and it has no uncertainty.
+    tied_to : str or None
+        Name of the parameter whose value it takes, as the fit was told to.
     """
 
     value: float
@@ -37,6 +41,13 @@ class Estimate:
     interval_68: Pair | None
     interval_95: Pair | None
     components: Mapping[str, float] = field(default_factory=dict)
+    fixed: bool = False
+    tied_to: str | None = None
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the data told the value, and not another parameter or whoever fixed it."""
+        return not self.fixed and self.tied_to is None
 
     def in_file_units(self) -> Estimate:
         """The estimate as files and tables show it: angles in degrees.

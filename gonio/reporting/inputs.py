@@ -138,10 +138,11 @@ def _draws(source: Path, fit: FitResult) -> Any:
         return None
     draws = read_draws(_find(fit.posterior.draws, source))
     own = (fit.source.get("joint") or {}).get("parameters") or {}
-    if own and all(name in draws for name in own.values()):
+    own = {new: old for new, old in own.items() if old in draws}  # fixed ones have no draws
+    if own:
         # The draws of a joint fit are named as its parameters are.
         draws = draws[list(own.values())].rename({old: new for new, old in own.items()})
-    if not all(name in draws for name in fit.parameters):
+    if not all(name in draws for name, e in fit.parameters.items() if e.unknown):
         raise DataError(f"{fit.posterior.draws} does not hold the parameters of this fit.")
     return draws
 

@@ -33,7 +33,7 @@ def named(q: Parameter) -> str:
 def corner(fit: FitResult, draws: Any) -> Chart:
     """Histograms on the diagonal, contours of 68 % and 95 % below it."""
     model = models.get(fit.model)
-    parameters = [model.parameter(name) for name in fit.parameters]
+    parameters = [model.parameter(name) for name, e in fit.parameters.items() if e.unknown]
     drawn = [np.asarray(draws[q.name].values, float).ravel() for q in parameters]
     truth: Mapping[str, float] = fit.source.get("truth") or {}
     true = [truth.get(q.name) for q in parameters]
@@ -171,7 +171,8 @@ def trace(fit: FitResult, draws: Any) -> Chart:
     """How some of the chains moved, parameter by parameter."""
     model = models.get(fit.model)
     views = []
-    for name in fit.parameters:
+    unknowns = [name for name, e in fit.parameters.items() if e.unknown]
+    for name in unknowns:
         values = np.atleast_2d(np.asarray(draws[name].values, float))
         steps = np.asarray(spread(range(values.shape[1]), STEPS), int)
         data: list[Trace] = [
@@ -182,7 +183,7 @@ def trace(fit: FitResult, draws: Any) -> Chart:
         ]  # fmt: skip
         layout = {"xaxis": axis("draw"), "yaxis": axis(named(model.parameter(name)))}
         views.append(View(name, data, {**layout, "showlegend": False}))
-    n = np.atleast_2d(draws[next(iter(fit.parameters))].values).shape
+    n = np.atleast_2d(draws[unknowns[0]].values).shape
     caption = (
         f"{min(n[0], CHAINS)} of {n[0]} chains, {min(n[1], STEPS)} of {n[1]} draws of each. A "
         "chain that has converged shows no drift, and all chains fill the same band."

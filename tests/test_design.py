@@ -13,6 +13,7 @@ from virtual import small
 
 import gonio
 from gonio import cli, models
+from gonio.fitting.problem.constraints import Constraints
 from gonio.geometry import Directions
 from gonio.instrument import preset
 from gonio.metadata import Plan
@@ -93,6 +94,24 @@ def test_information_is_that_of_all_errors_together(design):
     expected = jacobian.T @ np.linalg.solve(covariance, jacobian)
     found = candidates(samples).information(design)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_what_is_fixed_leaves_the_conditional_information():
+    samples, design = measured(), Design((0, 2), (0, 1), 1)
+    whole = candidates(samples).information(design)
+    fixed = Constraints.of(MODEL, {"alpha_y": WARD["alpha_y"]})
+    found = candidates(samples, constraints=fixed).information(design)
+    np.testing.assert_allclose(found, whole[:3, :3], rtol=1e-9)
+    # Tied parameters add what each of them would tell alone.
+    tied = Constraints.of(MODEL, tied={"rho_s": "rho_d"})
+    adds = np.array([[1.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    equal = MODEL.vector(WARD | {"rho_s": WARD["rho_d"]})
+    samples = replace(samples, shared=())
+    both = Candidates(samples, MODEL, equal, n_incidences=3, n_rotations=2)
+    one = Candidates(samples, MODEL, equal, n_incidences=3, n_rotations=2, constraints=tied)
+    np.testing.assert_allclose(
+        one.information(design), adds @ both.information(design) @ adds.T, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("design", DESIGNS)
@@ -320,9 +339,28 @@ def test_what_no_plan_determines_is_named(run, rig_file, words, name):
     assert document["plan"]["images"] <= 6
 
 
+def test_a_plan_for_a_fit_with_fixed_and_tied_parameters(run, rig_file):
+    words = surface("ward", **(WARD | {"alpha_y": 0.2}))
+    code, out, _ = run(
+        *words, "--fix", "rho_d=0.2", "--tie", "alpha_y=alpha_x", "--instrument", rig_file,
+        "--budget", 6, "--json",
+    )  # fmt: skip
+    assert code == 0
+    rows = {row["name"]: row for row in json.loads(out)["parameters"]}
+    assert rows["rho_d"]["fixed"] is True
+    assert rows["rho_d"]["u"] is None
+    assert rows["alpha_y"]["tied_to"] == "alpha_x"
+    assert rows["alpha_y"]["u"] == rows["alpha_x"]["u"] > 0
+    assert not {"fixed", "tied_to"} & set(rows["rho_s"])
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (
+            ["--fix", "alpha_y=0.1", "--want", "alpha_y=0.01"],
+            "alpha_y is fixed and has no wanted uncertainty; leave one of the two out.",
+        ),
         (["--want", "alpha_z=0.01"], "unknown parameter of ward 'alpha_z': did you mean 'alpha_"),
         (["--want", "alpha_x=0"], "--want alpha_x=0: a relative standard uncertainty is a posi"),
         (["--want", "alpha_x=-1"], "--want alpha_x=-1: a relative standard uncertainty is a posi"),

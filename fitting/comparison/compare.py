@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.errors import ConfigurationError, DataError
+from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.fitting.comparison import predictive_scores
 from gonio.fitting.comparison.ranking import (
     conclusion_of,
@@ -17,6 +17,7 @@ from gonio.fitting.comparison.records import Comparison
 from gonio.fitting.comparison.scores import score_model
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.record import MISFIT, Minimum
+from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.models import Model
@@ -34,6 +35,8 @@ def compare(
     models: Sequence[str | Model],
     *,
     weights: Weights | None = None,
+    fixed: Mapping[str, float] | None = None,
+    tied: Mapping[str, str] | None = None,
     seed: int = 0,
     threads: int | None = None,
     cuts: Mapping[str, Any] | None = None,
@@ -49,6 +52,9 @@ def compare(
         Two at least.
     weights : {"sd", "none", "cos", "coscos"}, optional
         As `gonio.fit` takes them.
+    fixed : mapping of str to float, optional
+    tied : mapping of str to str, optional
+        Parameters that are fixed, or take the value of another one, in every model that has them.
     seed : int
         Seed of the draws; one seed, one result, whatever the number of threads.
     threads : int, optional
@@ -64,7 +70,8 @@ def compare(
     Raises
     ------
     ConfigurationError
-        For fewer than two models, an unknown one, or one given twice.
+        For fewer than two models, an unknown one, one given twice, or parameters that cannot be
+        fixed or tied so, or that no model has.
     DataError
         If there are not more samples than parameters, or no noise to judge differences by.
 
@@ -94,9 +101,12 @@ def compare(
     False
     """
     chosen = _checked(models)
+    constraints = _constraints(chosen, fixed or {}, tied or {})
     minima = []
     for model in chosen:
-        minima.append(find_minimum(samples, model, weights=weights, threads=threads))
+        held = constraints[model.name]
+        options: dict[str, Any] = {"weights": weights, "threads": threads, "constraints": held}
+        minima.append(find_minimum(samples, model, **options))
     # Of two that fit alike to rounding, whatever their order, the smaller model.
     reference = min(
         minima,
@@ -128,6 +138,8 @@ def compare(
         groups=tuple(_described(samples, g) for g in groups),
         cuts=dict(cuts or {}),
         notes=tuple(_notes(reference, groups, len(some))),
+        fixed=_in_file_units(chosen, fixed or {}),
+        tied=dict(tied or {}),
         **provenance(samples),
     )
 
@@ -146,6 +158,29 @@ def _checked(models: Sequence[str | Model]) -> list[Model]:
             value=names,
         )
     return chosen
+
+
+def _constraints(
+    models: Sequence[Model], fixed: Mapping[str, float], tied: Mapping[str, str]
+) -> dict[str, Constraints]:
+    """The constraints of each model: those whose parameters it has."""
+    known = {name for model in models for name in model.names}
+    for verb, names in (("fix", fixed), ("tie", [*tied, *tied.values()])):
+        for name in names:
+            if name not in known:
+                raise unknown_name(f"parameter of these models to {verb}", name, known)
+    found = {}
+    for model in models:
+        own = set(model.names)
+        values = {name: value for name, value in fixed.items() if name in own}
+        ties = {name: other for name, other in tied.items() if {name, other} <= own}
+        found[model.name] = Constraints.of(model, values, ties)
+    return found
+
+
+def _in_file_units(models: Sequence[Model], fixed: Mapping[str, float]) -> dict[str, float]:
+    owners = {name: model for model in models for name in model.names}
+    return {name: owners[name].parameter(name).to_file(v) for name, v in fixed.items()}
 
 
 def _require_noise(reference: Minimum) -> None:

@@ -108,6 +108,10 @@ class Comparison:
         Selections and angle limits that were applied.
     notes : tuple of str
         What the criteria hold and do not hold.
+    fixed : mapping of str to float
+        Parameters that were fixed in the models that have them, in the unit of files.
+    tied : mapping of str to str
+        Parameters that took the value of another one.
     versions, source : mapping
     """
 
@@ -123,6 +127,8 @@ class Comparison:
     notes: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     source: Mapping[str, Any] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    tied: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -140,7 +146,9 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain data of schema gonio.compare/1."""
-        return {"schema": SCHEMA, **asdict(self)}
+        data = {"schema": SCHEMA, **asdict(self)}
+        # Only a comparison with constraints says so.
+        return {k: v for k, v in data.items() if v or k not in ("fixed", "tied")}
 
     def to_json(self) -> str:
         """The comparison as a JSON document."""

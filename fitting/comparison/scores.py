@@ -55,7 +55,7 @@ def score_model(
         n_parameters=len(parameters),
         chi2=minimum.chi2,
         dof=minimum.dof,
-        values={q.name: q.to_file(float(v)) for q, v in zip(parameters, optimum.p, strict=True)},
+        values={r.parameter.name: r.parameter.to_file(r.of(optimum.p)) for r in problem.reported},
         at_bound=_names(minimum, _held(optimum)),
         undetermined=_names(minimum, ~_held(optimum) & ~errors.determined),
         priors={q.name: (q.to_file(q.lower), q.to_file(q.upper)) for q in parameters},

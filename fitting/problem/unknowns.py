@@ -34,6 +34,13 @@ class Reported:
     value: float | None = None
     tied_to: str | None = None
 
+    def of(self, p: FloatArray) -> float:
+        """The value where the unknowns are p."""
+        if self.unknown is not None:
+            return float(p[self.unknown])
+        assert self.value is not None
+        return self.value
+
 
 @dataclass(frozen=True)
 class KernelParameters:

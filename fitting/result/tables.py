@@ -47,13 +47,14 @@ def parameter_row(name: str, estimate: Estimate, true: float | None) -> list[str
     estimate = estimate.in_file_units()
     unit = f" {estimate.unit}" if estimate.unit else ""
     digits = _decimals(estimate)
-    interval = "unknown"
+    interval = "" if estimate.fixed else "unknown"
     if estimate.interval_95 is not None:
         low, high = estimate.interval_95
         interval = f"{low:.{digits}f} .. {high:.{digits}f}"
-    stderr = "at bound" if estimate.at_bound else "none"
+    stderr = "at bound" if estimate.at_bound else "fixed" if estimate.fixed else "none"
     if estimate.stderr is not None:
         stderr = f"{estimate.stderr:.{digits}f}"
+    name += f" = {estimate.tied_to}" if estimate.tied_to else ""
     row = [name + (f" [{estimate.unit}]" if unit else ""), f"{estimate.value:.{digits}f}", stderr,
            interval]  # fmt: skip
     if true is not None:

@@ -23,9 +23,8 @@ def all_estimates(
     for r in reported:
         q = r.parameter
         if r.unknown is None:
-            assert r.value is not None
             found[q.name] = Estimate(
-                r.value, None, q.unit, None, None, None, fixed=True, tied_to=r.tied_to
+                r.of(np.zeros(0)), None, q.unit, None, None, None, fixed=True, tied_to=r.tied_to
             )
         else:
             found[q.name] = replace(unknowns[r.unknown], tied_to=r.tied_to)

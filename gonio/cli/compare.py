@@ -10,11 +10,13 @@ import rich_click as click
 
 from gonio.cli.completion import complete_models
 from gonio.cli.measured import read_samples, sample_options
+from gonio.cli.constraints import constraint_options, constraints_told, read_fixed, read_tied
 from gonio.errors import ConfigurationError
 from gonio.fitting.result.lines import WEIGHTS, cuts_line
 
 if TYPE_CHECKING:
     from gonio.fitting.comparison.records import Comparison, Entry, Score
+    from gonio.models import Model
 
 LARGE = 1e5  # from which a number is written with an exponent
 
@@ -30,6 +32,7 @@ LARGE = 1e5  # from which a number is written with an exponent
     help="Models to compare, two at least.",
 )
 @sample_options
+@constraint_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
               help="Seed of everything random.")  # fmt: skip
 @click.option("--threads", type=click.IntRange(min=1), metavar="N",
@@ -53,6 +56,8 @@ def command(
     selections: tuple[str, ...],
     max_theta_i: float | None,
     max_theta_r: float | None,
+    fixes: tuple[str, ...],
+    ties: tuple[str, ...],
     seed: int,
     threads: int | None,
     output: Path | None,
@@ -73,6 +78,7 @@ def command(
 
     refuse_both(as_json, as_csv, as_latex)
     models = [get(name) for name in _names(model_names)]
+    fixed, tied = _fixed(models, fixes), read_tied(ties)
     if output is not None:
         check_target(output)
     samples, cuts = read_samples(source, selections, max_theta_i, max_theta_r, threads)
@@ -81,6 +87,8 @@ def command(
             samples,
             models,
             weights=weights,
+            fixed=fixed,
+            tied=tied,
             seed=seed,
             threads=threads,
             cuts=cuts,
@@ -100,6 +108,19 @@ def command(
         _tell(found, output)
     if not found.ok:
         ctx.exit(1)
+
+
+def _fixed(models: list[Model], items: tuple[str, ...]) -> dict[str, float]:
+    """Fixed values of parameters that one of the models has, at least."""
+    found: dict[str, float] = {}
+    for item in items:
+        name = item.partition("=")[0].strip()
+        owners = [model for model in models if name in model.names]
+        again = [*found, name].count(name) > 1
+        if again:
+            raise ConfigurationError(f"--fix {name} is given twice; give it once.", value=item)
+        found |= read_fixed(owners[0] if owners else models[0], (item,))
+    return found
 
 
 def _names(text: str) -> list[str]:
@@ -125,6 +146,9 @@ def _tell(found: Comparison, output: Path | None) -> None:
         f"{found.n_samples} samples, {len(found.groups)} incidences{cuts_line(found.cuts)}; "
         f"weights: {WEIGHTS[found.weights]}"
     )
+    fixed = {name: f"{value:.6g}" for name, value in found.fixed.items()}
+    if told := constraints_told(fixed, found.tied):
+        click.echo(told)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("model", overflow="fold")
     table.add_column("P", justify="right", no_wrap=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli.completion import complete_instrument, complete_model
+from gonio.cli.constraints import constraint_options, read_fixed, read_tied
 from gonio.errors import ConfigurationError, unknown_name
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     metavar="PRESET|FILE.toml",
     help="Virtual instrument; see 'gonio instruments'.",
 )
+@constraint_options
 @click.option(
     "--want",
     metavar="NAME=SHARE,...",
@@ -73,6 +75,8 @@ def command(
     model: str,
     items: tuple[str, ...],
     instrument: str,
+    fixes: tuple[str, ...],
+    ties: tuple[str, ...],
     want: str | None,
     budget: int | None,
     output: Path | None,
@@ -94,6 +98,7 @@ def command(
     from gonio.planning.plan_search import SMALLEST, design
 
     chosen, parameters = _surface(model, items)
+    fixed, tied = read_fixed(chosen, fixes), read_tied(ties)
     wanted = _wanted(chosen, parameters, want)
     if budget is not None and budget < SMALLEST:
         raise ConfigurationError(
@@ -110,6 +115,8 @@ def command(
             instrument=load(instrument),
             wanted=wanted,
             budget=budget,
+            fixed=fixed,
+            tied=tied,
             verify=verify,
             threads=threads,
             progress=callback,
@@ -242,10 +249,16 @@ def _show_parameters(rows: list[dict[str, Any]]) -> None:
             at = f"theta_i {helped['theta_i_deg']:g}, rotation {helped['rotation_deg']:g}"
         figures = (
             f"{row['value']:.4g}{' ' * bool(row['unit'])}{row['unit']}",
-            *(_percent(row[key], row["value"]) for key in ("u_of_default", "u")),
+            *(
+                "fixed" if row.get("fixed") else _percent(row[key], row["value"])
+                for key in ("u_of_default", "u")
+            ),
             "-" if row["wanted"] is None else f"{100 * row['wanted']:.3g}",
         )
-        click.echo(_line(row["name"], figures, row["largest_source"] or "-", at))
+        source = row["largest_source"] or "-"
+        if "tied_to" in row:
+            source, at = f"tied to {row['tied_to']}", "-"
+        click.echo(_line(row["name"], figures, source, at))
 
 
 def _show_verification(check: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import rich_click as click
 
 from gonio.cli.completion import complete_model
 from gonio.cli.measured import read_samples, sample_options
+from gonio.cli.constraints import constraint_options, read_fixed, read_tied
 from gonio.cli.posteriors import posterior_options, read_priors
 from gonio.errors import ConfigurationError
 
@@ -50,6 +51,7 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
     metavar="NAME=VALUE",
     help="Starting value; without any, the data suggest them.",
 )
+@constraint_options
 @click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True,
               help="What searches for the minimum before the Gauss-Newton steps in which every fit "
               "ends.")  # fmt: skip
@@ -101,6 +103,8 @@ def command(
     max_theta_r: float | None,
     share: str | None,
     starts: tuple[str, ...],
+    fixes: tuple[str, ...],
+    ties: tuple[str, ...],
     engine: str,
     loss: str,
     nuisance: str,
@@ -124,12 +128,15 @@ def command(
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.fitting.fit import fit
+    from gonio.fitting.problem.constraints import Constraints
     from gonio.fitting.problem.nuisance_names import parse_names
     from gonio.models import get
     from gonio.recovery import true_parameters
 
     model = get(model_name)
     start = _starts(model, starts) if starts else None
+    fixed, tied = read_fixed(model, fixes), read_tied(ties)
+    Constraints.of(model, fixed, tied)  # before anything is read
     believed = read_priors(priors, model, posterior=posterior)
     if output is not None:
         check_target(output)
@@ -155,6 +162,8 @@ def command(
             share=shared,
             weights=weights,
             start=start,
+            fixed=fixed,
+            tied=tied,
             engine=engine,
             loss=loss,
             nuisance=parse_names(nuisance),

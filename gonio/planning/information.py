@@ -21,6 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.minimum import curvature
+from gonio.fitting.problem.constraints import Constraints
+from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.reduced import ReducedProblem
 from gonio.fitting.problem.shared_change import shared_change
 from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import FloatArray
@@ -103,6 +106,8 @@ class Candidates:
     n_incidences, n_rotations : int
     threads : int, optional
         The result does not depend on it.
+    constraints : Constraints, optional
+        Parameters that are fixed or tied; P then counts the unknowns in `Expected`.
     """
 
     def __init__(
@@ -114,16 +119,21 @@ class Candidates:
         n_incidences: int,
         n_rotations: int,
         threads: int | None = None,
+        constraints: Constraints | None = None,
     ) -> None:
         assert samples.image is not None
-        self.model, self.p = model, p
         self.n_incidences, self.n_rotations = n_incidences, n_rotations
         self.terms = tuple(term.name for term in samples.shared)
         self._averaged = np.array([bool(term.averages) for term in samples.shared], dtype=bool)
         # Counting the reference twice tells it apart.
-        problem = SingleProblem.from_samples(
+        problem: Problem = SingleProblem.from_samples(
             replace(samples, reference_sharing=2), model, "sd", threads
         )
+        if constraints:
+            problem = ReducedProblem.of(problem, constraints)
+            named = dict(zip(model.names, p, strict=True))
+            p = np.array([named[q.name] for q in problem.parameters])
+        self.model, self.p = model, p
         f, jacobian = problem.jacobian(p)
         once = problem.variance(f)
         reference = problem.variance(f, sharing=True) - once

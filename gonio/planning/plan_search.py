@@ -10,6 +10,7 @@ import numpy as np
 
 from gonio.calibration.reduction.reduce import reduce
 from gonio.errors import ConfigurationError, DataError, unknown_name
+from gonio.fitting.problem.constraints import Constraints
 from gonio.geometry import FloatArray
 from gonio.instrument import Instrument, load
 from gonio.instrument.plans import default_plan, is_anisotropic
@@ -47,6 +48,8 @@ def design(
     instrument: Instrument | str = "modern12",
     wanted: Mapping[str, float] | None = None,
     budget: int | None = None,
+    fixed: Mapping[str, float] | None = None,
+    tied: Mapping[str, str] | None = None,
     verify: int | None = None,
     threads: int | None = None,
     progress: StagedProgress | None = None,
@@ -71,6 +74,10 @@ def design(
         nor `budget` is given, those of the default plan.
     budget : int, optional
         Images of sample, standard and background together, at most; at least 3.
+    fixed : mapping of str to float, optional
+    tied : mapping of str to str, optional
+        Parameters that a fit will hold fixed, or give the value of another one, as `gonio.fit`
+        takes them: nothing has to be measured for them.
     verify : int, optional
         Simulate the plan with so many seeds, reduce, fit, and compare the scatter; at least 2.
     threads : int, optional
@@ -100,10 +107,14 @@ def design(
     """
     chosen = get_model(model) if isinstance(model, str) else model
     rig = load(instrument) if isinstance(instrument, str) else instrument
+    held = Constraints.of(chosen, fixed, tied)
+    held.refuse(wanted, "wanted uncertainty")
     values = {p.name: p.default for p in chosen.parameters} | dict(parameters or {})
+    values |= held.fixed
+    values |= {name: values[other] for name, other in held.tied.items()}
     targets = checked_targets(chosen, values, wanted or {})
     _check_counts(budget, verify)
-    setup = Setup(coarse(one_channel(rig)), chosen, chosen.vector(values), threads)
+    setup = Setup(coarse(one_channel(rig)), chosen, chosen.vector(values), threads, held)
     result = _searched(setup, rig, values, targets, budget, progress)
     if verify is None:
         return result
@@ -165,14 +176,16 @@ def _searched(
     progress: StagedProgress | None,
 ) -> DesignResult:
     """The best plan; where nothing is wanted, one as good as the default plan."""
-    model, p = setup.model, setup.p
+    model = setup.model
     default = default_plan(setup.instrument, anisotropic=is_anisotropic(model, parameters))
     rotations = (0.0,) if model.claims.isotropic else ROTATIONS_DEG
     everything = default.model_copy(update={"rotations_deg": rotations})
     candidates = _candidates(setup, everything, progress)
     of_default = candidates.expected(_design(everything, default))
     determined = candidates.expected(candidates.everything).determined
-    targets = np.array([wanted.get(q.name, np.nan) for q in model.parameters]) * np.abs(p)
+    unknowns = setup.unknowns
+    sizes = np.abs([parameters[q.name] for q in unknowns])
+    targets = np.array([wanted.get(q.name, np.nan) for q in unknowns]) * sizes
     if not wanted and budget is None:
         targets = np.where(of_default.determined, of_default.u, np.nan)
     asked = np.isfinite(targets)
@@ -232,6 +245,7 @@ def _judged(
         n_incidences=len(plan.theta_i_deg),
         n_rotations=len(plan.rotations_deg),
         threads=setup.threads,
+        constraints=setup.constraints,
     )
     return candidates, samples
 

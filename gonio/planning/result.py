@@ -9,6 +9,7 @@ from typing import Any
 
 from gonio.instrument import Instrument
 from gonio.metadata import Plan
+from gonio.models import Parameter
 from gonio.planning.information import Expected
 from gonio.planning.virtual_session import Setup
 
@@ -81,25 +82,37 @@ class DesignResult:
         }
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [self._row(j) for j in range(len(self.setup.model.parameters))]
+        _, _, reported = self.setup.constraints.unknowns(self.setup.model)
+        rows = []
+        for r in reported:
+            row = self._row(r.parameter, r.unknown)
+            # Only parameters that are fixed or tied say so.
+            if r.unknown is None:
+                row["fixed"] = True
+            if r.tied_to is not None:
+                row["tied_to"] = r.tied_to
+            rows.append(row)
+        return rows
 
-    def _row(self, j: int) -> dict[str, Any]:
-        parameter = self.setup.model.parameters[j]
+    def _row(self, parameter: Parameter, j: int | None) -> dict[str, Any]:
         value = self.parameters[parameter.name]
-        known = self._known(j, self.expected)
-        source, largest = self.expected.limit(j) if known else (None, math.nan)
-        helpful = self.most_helpful[j] if known else None
+        known = j is not None and self._known(j, self.expected)
+        source: str | None = None
+        largest, u, u_of_default, helpful = math.nan, math.nan, None, None
+        if j is not None:
+            u = float(self.expected.u[j])
+            if known:
+                source, largest = self.expected.limit(j)
+                helpful = self.most_helpful[j]
+            if self._known(j, self.expected_of_default):
+                u_of_default = parameter.to_file(float(self.expected_of_default.u[j]))
         return {
             "name": parameter.name,
             "value": parameter.to_file(value),
             "unit": parameter.file_unit,
-            "u": parameter.to_file(float(self.expected.u[j])) if known else None,
-            "u_relative": _share(self.expected.u[j], value) if known else None,
-            "u_of_default": (
-                parameter.to_file(float(self.expected_of_default.u[j]))
-                if self._known(j, self.expected_of_default)
-                else None
-            ),
+            "u": parameter.to_file(u) if known else None,
+            "u_relative": _share(u, value) if known else None,
+            "u_of_default": u_of_default,
             "wanted": self.wanted.get(parameter.name),
             "largest_source": source,
             "largest_source_u": parameter.to_file(largest) if known else None,
@@ -108,12 +121,14 @@ class DesignResult:
 
     def _known(self, j: int, expected: Expected) -> bool:
         """Whether the images say more of a parameter than its allowed range does."""
-        parameter = self.setup.model.parameters[j]
+        parameter = self.setup.unknowns[j]
         return bool(expected.determined[j] and expected.u[j] < (parameter.upper - parameter.lower))
 
     def _remarks(self, rows: list[dict[str, Any]]) -> list[str]:
         lines = []
-        for j, row in enumerate(rows):
+        names = [row["name"] for row in rows]
+        for j, q in enumerate(self.setup.unknowns):
+            row = rows[names.index(q.name)]
             if not self.determined[j]:
                 value = f"{row['value']:.4g}{' ' * bool(row['unit'])}{row['unit']}"
                 lines.append(

@@ -39,15 +39,19 @@ def verify(
     fitted = []
     for seed in range(n_seeds):
         samples = reduce(setup.drawn(plan, seed), threads=setup.threads)
-        fitted_to = fit(samples, model=setup.model, threads=setup.threads)
-        fitted.append(
-            [q.to_file(fitted_to.parameters[q.name].value) for q in setup.model.parameters]
+        fitted_to = fit(
+            samples,
+            model=setup.model,
+            fixed=setup.constraints.fixed,
+            tied=setup.constraints.tied,
+            threads=setup.threads,
         )
+        fitted.append([q.to_file(fitted_to.parameters[q.name].value) for q in setup.unknowns])
         if callback is not None:
             callback(seed + 1, n_seeds)
     values = np.array(fitted)
     rows = []
-    for j, q in enumerate(setup.model.parameters):
+    for j, q in enumerate(setup.unknowns):
         known = bool(result.expected.determined[j])
         components = result.expected.components
         parts = {k: u[j] for k, u in components.items() if k not in result.constant}

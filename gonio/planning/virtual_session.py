@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.calibration.frames.exposure import SATURATED
+from gonio.fitting.problem.constraints import Constraints
 from gonio.geometry import FloatArray
 from gonio.instrument import Instrument
 from gonio.instrument.images import Fixed, Images, Surface
@@ -17,7 +18,7 @@ from gonio.instrument.noise import expose
 from gonio.instrument.realisation import Realisation
 from gonio.instrument.records import channels, metadata
 from gonio.metadata import Metadata, Plan, Role
-from gonio.models import Model
+from gonio.models import Model, Parameter
 from gonio.session import Session
 
 # Pixels across the frame, to which a sensor is binned: the shared errors decide, and they do not
@@ -83,12 +84,20 @@ class Setup:
     p : ndarray, shape (P,)
     threads : int, optional
         No result depends on it.
+    constraints : Constraints
+        Parameters that a fit to its sessions holds fixed or tied.
     """
 
     instrument: Instrument
     model: Model
     p: FloatArray
     threads: int | None = None
+    constraints: Constraints = field(default_factory=Constraints)
+
+    @property
+    def unknowns(self) -> tuple[Parameter, ...]:
+        """Parameters that a fit searches for."""
+        return self.constraints.unknowns(self.model)[0]
 
     def session(
         self, plan: Plan, realisation: Realisation | None = None, progress: Progress | None = None

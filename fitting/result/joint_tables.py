@@ -83,7 +83,9 @@ def _own_columns(record: FitRecord, own: set[str], known: Mapping[str, float]) -
         estimates = [record.parameters[name].in_file_units() for name in names]
         unit = f" [{estimates[0].unit}]" if estimates[0].unit else ""
         digits = _common_decimals(estimates)
-        columns.append([q + unit, *(_cell(estimate, digits) for estimate in estimates)])
+        tied_to = estimates[0].tied_to
+        tie = f" = {tied_to.partition('[')[0]}" if tied_to else ""
+        columns.append([q + tie + unit, *(_cell(estimate, digits) for estimate in estimates)])
         if _true_heading(known, names):
             columns.append(["true", *(f"{known[n]:g}" if n in known else "" for n in names)])
     return columns

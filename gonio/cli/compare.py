@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli.completion import complete_models
-from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.constraints import constraint_options, constraints_told, read_fixed, read_tied
+from gonio.cli.measured import read_samples, sample_options
 from gonio.errors import ConfigurationError
 from gonio.fitting.result.lines import WEIGHTS, cuts_line
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli.completion import complete_model
-from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.constraints import constraint_options, read_fixed, read_tied
+from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
 from gonio.errors import ConfigurationError
 

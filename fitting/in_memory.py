@@ -45,7 +45,7 @@ class InMemory:
 
     def part(self, index: int) -> InMemory:
         """One part of a joint fit; its draws stay with the whole."""
-        piece, _, place = self.problem.pieces()[index]
+        piece, _, place = self.problem.independent.pieces()[index]
         return InMemory(self.model, piece, self.p[place], self.noise_scale, self.seed)
 
     def inference_data(self, *, log_likelihood: bool) -> Any:

@@ -48,6 +48,10 @@ class SessionInterruptedError(GonioError):
     exit_code = 4
 
 
+class IncompleteFileWarning(UserWarning):
+    """A file was written whose format cannot hold all that the object holds."""
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigurationError:
     """Error for a name that is not in a list, with the nearest known name.
 

@@ -247,7 +247,8 @@ def test_missing_empty_and_folder(put, tmp_path):
 
 def test_samples_file(tmp_path):
     samples = some_samples(20, u_independent=np.full(20, 0.01))
-    samples.save(tmp_path / "samples.bin")
+    samples.save(tmp_path / "samples.nc")
+    (tmp_path / "samples.nc").rename(tmp_path / "samples.bin")
     back = formats.read(tmp_path / "samples.bin")
     same(samples, back)
     assert back.metadata["format"] == "samples_nc"

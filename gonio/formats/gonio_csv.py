@@ -8,8 +8,6 @@ directions leave the surface; phi from +x, counter-clockwise seen from outside) 
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import DataError
-from gonio.files import write_text
 from gonio.formats._text import Lines, Table, check_polar, numbers, open_text
 from gonio.geometry import Directions, FloatArray
-from gonio.samples import BRDFSamples
+from gonio.samples import ANGLES, BRDFSamples
+from gonio.samples.csv_text import csv_text, printed, write_csv
 
 NAME = "gonio_csv"
 TITLE = "gonio CSV: theta_i, phi_i, theta_r, phi_r in degrees and brdf"
 
-ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
 REQUIRED = (*ANGLES, "brdf")
 OPTIONAL = ("u_brdf", "channel", "wavelength_nm")
 COLUMNS = (*REQUIRED, *OPTIONAL)
@@ -104,20 +101,7 @@ def write(path: str | Path, samples: BRDFSamples) -> None:
     elsewhere they come back to the nearest. What `read` made always comes back unchanged.
     Shared terms, cells and history have no column here: `BRDFSamples.save` keeps them.
     """
-    if samples.quantity != "BRDF":
-        raise DataError(
-            f"{path}: the samples are a {samples.quantity} and the table has a column for a BRDF; "
-            "save them as netCDF (.nc), which says what they are.",
-            value=samples.quantity,
-        )
-    columns: dict[str, Sequence[str]] = {"brdf": _printed(samples.value)}
-    if samples.u_independent is not None:
-        columns["u_brdf"] = _printed(samples.u_independent)
-    if samples.channel is not None:
-        columns["channel"] = samples.channel.tolist()
-    if samples.wavelength_nm is not None:
-        columns["wavelength_nm"] = _printed(samples.wavelength_nm)
-    write_text(Path(path), _table(samples.directions, columns))
+    write_csv(Path(path), samples)
 
 
 def read_directions(path: str | Path) -> Directions:
@@ -161,7 +145,7 @@ def directions_table(directions: Directions, brdf: FloatArray) -> str:
     theta_i,phi_i,theta_r,phi_r,brdf
     0,0,45,180,0.5
     """
-    return _table(directions, {"brdf": _printed(brdf)})
+    return csv_text(directions, {"brdf": printed(brdf)})
 
 
 def _read_columns(path: Path, required: tuple[str, ...]) -> dict[str, NDArray[Any]]:
@@ -228,37 +212,3 @@ def _channels(path: Path, lines: Lines, cells: Sequence[str]) -> NDArray[np.str_
             value="",
         )
     return names
-
-
-def _table(directions: Directions, columns: dict[str, Sequence[str]]) -> str:
-    shape = directions.shape
-    angles = [
-        _printed(_degrees(np.broadcast_to(getattr(directions, name), shape))) for name in ANGLES
-    ]
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*ANGLES, *columns])
-    writer.writerows(zip(*angles, *columns.values(), strict=True))
-    return text.getvalue()
-
-
-def _printed(values: FloatArray) -> list[str]:
-    return [f"{value:.17g}" for value in values.tolist()]
-
-
-def _degrees(radians: NDArray[Any]) -> FloatArray:
-    """Degrees that `np.radians` takes back to the same bits, short ones first."""
-    exact = np.degrees(radians)
-    best = np.array(exact)
-    todo = np.ones(best.shape, dtype=bool)
-    candidates = [np.round(exact, 10), np.round(exact, 12), exact]
-    for side in (-np.inf, np.inf):
-        step = exact
-        for _ in range(2):
-            step = np.nextafter(step, side)
-            candidates.append(step)
-    for candidate in candidates:
-        hit = todo & (np.radians(candidate) == radians)
-        best[hit] = candidate[hit]
-        todo &= ~hit
-    return best

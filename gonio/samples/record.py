@@ -1,28 +1,17 @@
-"""BRDF samples: what calibration makes, what files hold, what fitting takes.
-
-Samples of a surface seen in transmission (BTDF) are the same but for their incident direction:
-it lies below the surface and is stored mirrored in the plane of the sample, so that both polar
-angles are at most 90 deg. Light that goes straight through then leaves where a mirror would send
-it, at (theta_i, phi_i + 180 deg), and the models of reflection fit lobes of transmission as they
-stand.
-"""
+"""The fields of BRDF samples, and their selection."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from gonio.errors import DataError
-from gonio.files import atomic_path
+from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import HORIZON, Directions, FloatArray
-from gonio.shared_term import COLUMNS
-from gonio.shared_term import SharedTerm as SharedTerm
+from gonio.shared_term import SharedTerm
 
 SCHEMA = "gonio.samples/1"
 Quantity = Literal["BRDF", "BTDF"]
@@ -35,6 +24,23 @@ MIRRORED = "; the incident direction, below the surface, is mirrored in the plan
 FLAG_PARTIAL = 1  # some pixels of the cell were masked
 FLAG_ENTRY = 2  # seen through the patch of the dome where the lamp's beam enters
 MAX_SAMPLES = 50_000_000
+ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
+PER_SAMPLE = (
+    "u_independent",
+    "noise_slope",
+    "u_reference",
+    "solid_angle",
+    "flags",
+    "image",
+    "wavelength_nm",
+    "channel",
+)
+_KINDS = {
+    **dict.fromkeys(PER_SAMPLE, float),
+    "flags": np.uint8,
+    "image": np.int64,
+    "channel": np.str_,
+}
 
 
 @dataclass(frozen=True)
@@ -65,8 +71,8 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class BRDFSamples:
-    """Measured or simulated BRDF values with their directions and uncertainties.
+class SampleRecord:
+    """BRDF values with directions and uncertainties; `BRDFSamples` is it with its methods.
 
     Parameters
     ----------
@@ -123,6 +129,10 @@ class BRDFSamples:
     quantity: Quantity = "BRDF"
 
     def __post_init__(self) -> None:
+        for name, kind in {"value": float, **_KINDS}.items():
+            column = getattr(self, name)
+            if column is not None and not isinstance(column, np.ndarray):
+                object.__setattr__(self, name, np.asarray(column, kind))
         n = len(self)
         if self.value.ndim != 1 or self.directions.shape != (n,):
             raise DataError(
@@ -139,7 +149,7 @@ class BRDFSamples:
                     "BRDF samples lie at 0 to 90 deg from the normal.",
                     value=float(theta.max()),
                 )
-        for name in _PER_SAMPLE:
+        for name in PER_SAMPLE:
             column = getattr(self, name)
             if column is not None and column.shape != (n,):
                 raise DataError(f"{name} has shape {column.shape}, not ({n},).")
@@ -154,14 +164,74 @@ class BRDFSamples:
         """How many values are below zero: noise, kept and counted."""
         return int(np.count_nonzero(self.value < 0))
 
-    def select(self, keep: NDArray[Any], why: str) -> BRDFSamples:
-        """The samples for which `keep` (a mask or indices) holds, with a line in the history."""
-        index = np.flatnonzero(keep) if keep.dtype == bool else np.asarray(keep, np.int64)
+    def __getitem__(self, keep: ArrayLike | slice) -> Self:
+        """The samples at a mask, indices or a slice: ``samples[samples.value > 0]``."""
+        if isinstance(keep, slice):
+            keep = np.arange(len(self))[keep]
+        return self.select(np.atleast_1d(np.asarray(keep)))
+
+    def select(
+        self,
+        keep: ArrayLike | None = None,
+        why: str = "selected",
+        *,
+        channel: str | None = None,
+        wavelength_nm: float | None = None,
+    ) -> Self:
+        """The samples for which `keep` holds, with a line in the history.
+
+        Parameters
+        ----------
+        keep : array_like of bool, shape (N,), or of int, optional
+            A mask, or indices.
+        why : str
+            What was selected, for the history.
+        channel : str, optional
+            Name of the channel to keep.
+        wavelength_nm : float, optional
+            Wavelength to keep, to a millionth of a nanometre.
+
+        Raises
+        ------
+        ConfigurationError
+            If there is no such channel or wavelength, with those that there are.
+        DataError
+            If a mask has not one value for each sample, or an index is beyond them.
+        """
+        result = self
+        if channel is not None:
+            result = result._of("channel", result.channel == channel, channel)
+        if wavelength_nm is not None:
+            nm = np.nan if result.wavelength_nm is None else result.wavelength_nm
+            result = result._of("wavelength_nm", np.abs(nm - wavelength_nm) < 1e-6, wavelength_nm)
+        return result if keep is None else result._at(np.asarray(keep), why)
+
+    def _of(self, name: str, keep: Any, wanted: object) -> Self:
+        """The samples of one channel or wavelength."""
+        column = getattr(self, name)
+        if column is None or not np.any(keep):
+            known = "they have none" if column is None else ", ".join(map(str, np.unique(column)))
+            raise ConfigurationError(
+                f"no sample has {name} {wanted!r}; known: {known}.", value=wanted
+            )
+        return self._at(keep, f"{name} = {wanted}")
+
+    def _at(self, keep: NDArray[Any], why: str) -> Self:
+        n = len(self)
+        if keep.dtype == bool:
+            if keep.shape != (n,):
+                raise DataError(f"a mask of shape {keep.shape} does not fit {n} samples.")
+            index = np.flatnonzero(keep)
+        else:
+            index = np.asarray(keep, np.int64)
+            if index.size and not -n <= index.min() <= index.max() < n:
+                raise DataError(f"an index is beyond the {n} samples; the last is {n - 1}.")
+            index = np.where(index < 0, index + n, index)
         d = self.directions
-        angles = [np.broadcast_to(getattr(d, a), (len(self),))[index] for a in _ANGLES]
+        angles = [np.broadcast_to(getattr(d, a), (n,))[index] for a in ANGLES]
         columns: dict[str, Any] = {
             name: None if (column := getattr(self, name)) is None else column[index]
-            for name in _PER_SAMPLE
+            for name in PER_SAMPLE
         }
         return replace(
             self,
@@ -169,13 +239,13 @@ class BRDFSamples:
             value=self.value[index],
             shared=tuple(term.select(index) for term in self.shared),
             cells=None if self.cells is None else self.cells.select(index),
-            history=(*self.history, f"{why}: {len(index)} of {len(self)} samples kept"),
+            history=(*self.history, f"{why}: {len(index)} of {n} samples kept"),
             **columns,
         )
 
     def limited(
         self, *, max_theta_i: float | None = None, max_theta_r: float | None = None
-    ) -> BRDFSamples:
+    ) -> Self:
         """Samples with polar angles up to the limits, radians.
 
         Raises
@@ -195,144 +265,3 @@ class BRDFSamples:
                     f"the smallest is {np.degrees(theta.min()):.6g} deg."
                 )
         return result
-
-    def save(self, path: str | Path) -> None:
-        """Write the samples as netCDF, whole or not at all.
-
-        Raises
-        ------
-        DataError
-            If the file cannot be written.
-        """
-        dataset = _to_dataset(self)
-        with atomic_path(Path(path)) as temporary:
-            dataset.to_netcdf(temporary, engine="h5netcdf")
-
-    @classmethod
-    def load(cls, path: str | Path) -> BRDFSamples:
-        """Read samples that `save` wrote.
-
-        Raises
-        ------
-        DataError
-            If the file is missing, truncated, or not a samples file.
-        """
-        import xarray as xr
-
-        path = Path(path)
-        if not path.is_file():
-            raise DataError(f"{path}: no such file; give a samples file (.nc).", value=path)
-        try:
-            with xr.open_dataset(path, engine="h5netcdf") as dataset:
-                _check_schema(path, dataset)
-                return _from_dataset(dataset.load())
-        except (OSError, KeyError, ValueError, TypeError, json.JSONDecodeError) as error:
-            raise DataError(
-                f"{path}: not a readable samples file ({type(error).__name__}: {error}); "
-                "it may be truncated, make it again with 'gonio reduce'.",
-                value=path,
-            ) from error
-
-
-_ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
-_PER_SAMPLE = (
-    "u_independent",
-    "noise_slope",
-    "u_reference",
-    "solid_angle",
-    "flags",
-    "image",
-    "wavelength_nm",
-    "channel",
-)
-_UNITS = {
-    "value": "sr-1",
-    "u_independent": "sr-1",
-    "noise_slope": "sr-1",
-    "u_reference": "sr-1",
-    "solid_angle": "sr",
-    "wavelength_nm": "nm",
-}
-
-
-def _to_dataset(samples: BRDFSamples) -> Any:
-    import xarray as xr
-
-    n = len(samples)
-    variables: dict[str, Any] = {}
-    for name in _ANGLES:
-        angle = np.broadcast_to(getattr(samples.directions, name), (n,)).copy()
-        variables[name] = ("sample", angle, {"units": "rad"})
-    for name in ("value", *_PER_SAMPLE):
-        column = getattr(samples, name)
-        if column is not None:
-            if name == "channel":
-                column = column.astype(object)
-            variables[name] = ("sample", column, {"units": _UNITS.get(name, "1")})
-    if samples.cells is not None:
-        variables["member_w_r"] = (("member", "xyz"), samples.cells.w_r)
-        variables["member_weight"] = ("member", samples.cells.weight)
-        variables["member_offset"] = ("bound", samples.cells.offsets)
-    for k, term in enumerate(samples.shared):
-        for name, unit in COLUMNS.items():
-            column = getattr(term, name)
-            if column is not None:
-                where = ("sample", "xyz") if column.ndim == 2 else "sample"
-                variables[f"shared_{k}_{name}"] = (where, column, {"units": unit})
-    return xr.Dataset(
-        variables,
-        attrs={
-            "schema": SCHEMA,
-            "quantity": QUANTITIES[samples.quantity],
-            "convention": CONVENTION + (MIRRORED if samples.quantity == "BTDF" else ""),
-            "reference_sharing": samples.reference_sharing,
-            "shared": json.dumps([term.record() for term in samples.shared]),
-            "history": json.dumps(samples.history),
-            "metadata": json.dumps(samples.metadata),
-        },
-    )
-
-
-def _check_schema(path: Path, dataset: Any) -> None:
-    if dataset.attrs.get("schema") != SCHEMA:
-        raise DataError(
-            f"{path}: the schema is {dataset.attrs.get('schema')!r}, not {SCHEMA!r}; "
-            "this is not a samples file of this version.",
-            value=path,
-        )
-    sizes = {name: int(dataset.sizes.get(name, 0)) for name in ("sample", "member")}
-    if sizes["sample"] > MAX_SAMPLES or sizes["member"] > 16 * MAX_SAMPLES:
-        raise DataError(f"{path}: {sizes} is more than a samples file may hold ({MAX_SAMPLES}).")
-
-
-def _from_dataset(dataset: Any) -> BRDFSamples:
-    def column(name: str) -> Any:
-        return dataset[name].values if name in dataset else None
-
-    channel = column("channel")
-    cells = None
-    if "member_w_r" in dataset:
-        cells = Cells(column("member_w_r"), column("member_weight"), column("member_offset"))
-        offsets = cells.offsets
-        if offsets[0] != 0 or offsets[-1] != len(cells.weight) or np.any(np.diff(offsets) < 1):
-            raise ValueError("the cells' member offsets are inconsistent")
-    terms = tuple(
-        SharedTerm.from_record(item, {c: column(f"shared_{k}_{c}") for c in COLUMNS})
-        for k, item in enumerate(json.loads(dataset.attrs["shared"]))
-    )
-    columns = {name: column(name) for name in _PER_SAMPLE if name != "channel"}
-    quantity = {text: kind for kind, text in QUANTITIES.items()}.get(dataset.attrs["quantity"])
-    if quantity is None:
-        raise ValueError(f"the quantity is {dataset.attrs['quantity']!r}")
-    return BRDFSamples(
-        directions=Directions(*(column(name) for name in _ANGLES)),
-        value=column("value"),
-        channel=None if channel is None else channel.astype(str),
-        reference_sharing=int(dataset.attrs["reference_sharing"]),
-        shared=terms,
-        cells=cells,
-        history=tuple(json.loads(dataset.attrs["history"])),
-        metadata=json.loads(dataset.attrs["metadata"]),
-        quantity=quantity,
-        **columns,
-    )

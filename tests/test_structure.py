@@ -240,6 +240,145 @@ def test_reducer_and_fitter_do_not_know_the_truth(folder: str) -> None:
             assert "truth" not in line.lower(), f"{path.relative_to(ROOT)}, line {number}: {line}"
 
 
+# ---------------------------------------------------------------- order inside the two large rooms
+
+# The floors of a room, ground floor first: a sub-room imports those of lower floors, and itself.
+FLOORS: dict[str, list[set[str]]] = {
+    "calibration": [
+        {"reflector", "image_cells", "budget"},
+        {"frames", "lens"},
+        {"dome"},
+        {"effects", "faults"},
+        {"reduction"},
+    ],
+    "fitting": [
+        {"result", "provenance", "problem"},
+        {"minimum", "part_choice"},
+        {"residual_tests"},
+        {"uncertainty"},
+        {"posterior", "diagnostics", "comparison", "warnings"},
+        {"in_memory"},
+        {"fit", "texels"},
+    ],
+}
+
+
+def sub_room(module: str) -> str:
+    """Second name below gonio, empty for the room itself."""
+    return (module.split(".") + [""] * 3)[2]
+
+
+def above(module: str, source: str, known: set[str], *, is_package: bool = False) -> list[str]:
+    """One line for each import of a sub-room that stands on the same floor or above."""
+    house = FLOORS[room(module)]
+    floor = {name: k for k, names in enumerate(house) for name in names}
+    own = sub_room(module)
+    lines = []
+    for line, target in imported(module, is_package, source, known):
+        other = sub_room(target)
+        if room(target) != room(module) or other in ("", own):
+            continue
+        if floor[other] >= floor[own]:
+            lines.append(f"line {line}: {own} must not import {other}, which is not below it")
+    return lines
+
+
+@pytest.mark.parametrize("name", FLOORS)
+def test_every_sub_room_has_a_floor_and_a_room_fits_on_a_sheet(name: str) -> None:
+    on_disk = {sub_room(m) for m in MODULES if room(m) == name} - {""}
+    floors = FLOORS[name]
+    assert on_disk == set().union(*floors), "say in FLOORS where these stand"
+    assert len(on_disk) <= {"calibration": 10, "fitting": 16}[name]
+    assert len(floors) <= 7
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if room(m) in FLOORS and sub_room(m)])
+def test_sub_rooms_keep_their_order(module: str) -> None:
+    path = MODULES[module]
+    source = path.read_text(encoding="utf-8")
+    found = above(module, source, set(MODULES), is_package=path.name == "__init__.py")
+    assert not found, "\n".join(f"{path.relative_to(ROOT)}, {line}" for line in found)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("gonio.fitting.problem.joint", "from gonio.fitting.minimum.find import find_minimum"),
+        ("gonio.fitting.minimum.find", "def f():\n    from gonio.fitting.uncertainty import x"),
+        ("gonio.fitting.posterior.sample", "from ..diagnostics import identifiability"),
+        ("gonio.calibration.dome.spots", "import gonio.calibration.reduction.cells"),
+    ],
+)
+def test_an_import_from_above_is_seen(module: str, source: str) -> None:
+    assert len(above(module, source, set(MODULES))) == 1
+
+
+# ---------------------------------------------------------------- circles
+
+
+def circles(edges: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that import each other, directly or by way of others (Tarjan 1972)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(module: str) -> None:
+        index[module] = low[module] = len(index)
+        stack.append(module)
+        for other in sorted(edges[module]):
+            if other not in index:
+                visit(other)
+                low[module] = min(low[module], low[other])
+            elif other in stack:
+                low[module] = min(low[module], index[other])
+        if low[module] == index[module]:
+            group = stack[stack.index(module) :]
+            del stack[stack.index(module) :]
+            if len(group) > 1 or module in edges[module]:
+                found.append(sorted(group))
+
+    for module in edges:
+        if module not in index:
+            visit(module)
+    return found
+
+
+def edges_of(modules_: dict[str, tuple[bool, str]]) -> dict[str, set[str]]:
+    """Who imports whom, imports inside functions and under TYPE_CHECKING included."""
+    known = set(modules_)
+    edges: dict[str, set[str]] = {}
+    for module, (is_package, source) in modules_.items():
+        edges[module] = set()
+        for _, target in imported(module, is_package, source, known):
+            nearest = target
+            while nearest and nearest not in known:
+                nearest = nearest.rpartition(".")[0]
+            if nearest:
+                edges[module].add(nearest)
+    return edges
+
+
+def test_no_modules_import_each_other() -> None:
+    sources = {
+        module: (path.name == "__init__.py", path.read_text(encoding="utf-8"))
+        for module, path in MODULES.items()
+    }
+    found = circles(edges_of(sources))
+    assert not found, "\n".join(f"a circle of imports: {', '.join(group)}" for group in found)
+
+
+def test_a_circle_is_seen_wherever_its_imports_stand() -> None:
+    sources = {
+        "gonio.a": (False, "from gonio import b"),
+        "gonio.b": (False, "def f():\n    from gonio.room.c import g"),
+        "gonio.room.c": (False, "if TYPE_CHECKING:\n    from gonio.a import A"),
+        "gonio.room": (True, "from gonio.room.c import g"),
+        "gonio.d": (False, "from gonio import a"),
+    }
+    assert circles(edges_of(sources)) == [["gonio.a", "gonio.b", "gonio.room.c"]]
+
+
 # ---------------------------------------------------------------- one file, one module
 
 

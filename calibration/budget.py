@@ -160,10 +160,24 @@ def budget(samples: BRDFSamples) -> Budget:
     ----------
     samples : BRDFSamples
 
+    Returns
+    -------
+    Budget
+
     Raises
     ------
     DataError
         If the samples state no uncertainty at all.
+
+    Examples
+    --------
+    >>> from gonio.geometry import Directions
+    >>> theta = np.linspace(0.1, 1.2, 5)
+    >>> samples = BRDFSamples(
+    ...     Directions(0.3 * np.ones(5), 0.0, theta, 0.0), 0.1 + 0 * theta, 0.001 + 0 * theta
+    ... )
+    >>> [source.name for source in budget(samples).sources]
+    ['noise']
     """
     if samples.u_independent is None and not samples.shared:
         raise DataError(

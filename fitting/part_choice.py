@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from gonio.errors import ConfigurationError
 from gonio.fitting.result import FitResult, PartFit
@@ -62,3 +62,53 @@ def _is(part: PartFit, key: str, wanted: str) -> bool:
         return math.isclose(float(own), float(wanted), abs_tol=1e-6)
     except ValueError:
         return False
+
+
+def part_chooser(
+    select: Mapping[str, str],
+    *,
+    where: str = "the fit",
+    middle: Callable[[FitResult, PartFit], None] | None = None,
+    shown: Callable[[PartFit], str] | None = None,
+) -> Callable[[FitResult], FitResult]:
+    """What takes the selected part out of a joint fit, and leaves another fit alone.
+
+    Parameters
+    ----------
+    select : mapping of str to str
+        As for `choose_part`.
+    where : str
+        What the messages call the fit.
+    middle : callable, optional
+        Take the middle part where nothing is selected, and call this with fit and part.
+    shown : callable, optional
+        How a selection of a part is written, for the messages.
+
+    Raises
+    ------
+    ConfigurationError
+        By the function, if the selection leaves no part or several.
+    """
+    write = shown or (lambda part: f"select={how_to_select(part)}")
+
+    def choose(fit: FitResult) -> FitResult:
+        part = choose_part(fit, select, where=where)
+        if not fit.parts:
+            return fit
+        if part is None and middle is not None and not select:
+            part = fit.parts[len(fit.parts) // 2]
+            middle(fit, part)
+        if part is None:
+            raise ConfigurationError(
+                f"{where}: is a joint fit of {len(fit.parts)} parts; choose one, as with "
+                f"{write(fit.parts[0])}, of {', '.join(p.name for p in fit.parts)}.",
+                value=where,
+            )
+        return fit.part(part.name)
+
+    return choose
+
+
+def how_to_select(part: PartFit) -> dict[str, str]:
+    """The selection that leaves this part alone."""
+    return dict(part.select) if part.input is None else {"part": part.name}

@@ -24,6 +24,7 @@ from gonio.materials import get as get_material
 from gonio.metadata import Plan, Role
 from gonio.models import Model
 from gonio.models import get as get_model
+from gonio.plan_file import read_plan
 from gonio.session import Session
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def simulate(
     model: str | None = None,
     parameters: Mapping[str, Values] | None = None,
     instrument: str | Instrument = "modern12",
-    plan: Plan | None = None,
+    plan: Plan | str | Path | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -64,9 +65,10 @@ def simulate(
         of the instrument.
     instrument : str or Instrument
         A preset, a TOML file, or an instrument.
-    plan : Plan, optional
-        Angles, rotations, exposures, repeats; `default_plan` where not given. See also
-        `transmission_plan` and `mirror_plan`. Its channels are those of the instrument.
+    plan : Plan or path, optional
+        Angles, rotations, exposures, repeats, or a TOML file with a table [plan] such as
+        `gonio design -o` writes; `default_plan` where not given. See also `transmission_plan` and
+        `mirror_plan`. Its channels are those of the instrument.
     seed : int
         Everything random follows from it: 0 <= seed < 2**63.
     threads : int, optional
@@ -86,7 +88,18 @@ def simulate(
     ConfigurationError
         For unknown names, parameters out of range, or another session at `output`.
     DataError
-        If the disk refuses to take the frames.
+        If the disk refuses to take the frames, or the file of a plan is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from gonio.instrument import preset
+    >>> rig = preset("ideal12").with_pixels(52)
+    >>> plan = Plan(theta_i_deg=(0, 30), rotations_deg=(0,), exposures_s=(0.01, 0.1))
+    >>> session = simulate("white_ceramic_tile", output=tempfile.mkdtemp() + "/tile.gonio",
+    ...                    instrument=rig, plan=plan)
+    >>> session.complete, session.n_done
+    (True, 12)
     """
     from gonio.instrument.records import metadata
     from gonio.instrument.truth import economical
@@ -94,6 +107,7 @@ def simulate(
     if not 0 <= seed < 2**63:
         raise ConfigurationError(f"seed = {seed} is out of range; allowed is 0 to 2^63 - 1.")
     rig = load(instrument) if isinstance(instrument, str) else instrument
+    plan = read_plan(plan) if isinstance(plan, str | Path) else plan
     is_mirror = plan is not None and plan.mode == "mirror"
     surface = _mirror(rig, material, model) if is_mirror else _surface(
         rig, material, model, parameters

@@ -18,10 +18,10 @@ from pathlib import Path
 import pytest
 
 from gonio import __version__, cli, materials, session, simulation
-from gonio.cli import doctor
 from gonio.instrument import preset_names
 from gonio.samples import BRDFSamples
 from gonio.session import Session
+from gonio.verbs import doctor
 
 COMMANDS = list(cli._COMMANDS)
 # What the help must not load, since each takes a second or more of its own.

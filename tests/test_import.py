@@ -81,7 +81,7 @@ def test_the_demo_gives_rolled_aluminum_within_its_stated_uncertainty(command, t
 
 
 def test_frames_are_the_files_count_for_count(folder, tmp_path):
-    found = rig.import_frames(folder, tmp_path / "s")
+    found = rig.import_rig(folder, tmp_path / "s")
     session = Session.open(tmp_path / "s")
     assert session.complete
     assert found.n_new == 18
@@ -95,7 +95,7 @@ def test_frames_are_the_files_count_for_count(folder, tmp_path):
 
 
 def test_the_session_knows_what_the_rig_says(folder, tmp_path):
-    metadata = rig.import_frames(folder, tmp_path / "s").metadata
+    metadata = rig.import_rig(folder, tmp_path / "s").metadata
     camera = metadata.camera
     assert (metadata.instrument, metadata.sample) == ("demo rig", "rolled_aluminum")
     assert camera.pitch_mm == pytest.approx((0.0598, 0.0598), rel=1e-12)
@@ -134,42 +134,42 @@ def stopping_after(n):
 
 
 def test_an_interrupted_import_continues(folder, tmp_path):
-    whole = rig.import_frames(folder, tmp_path / "whole").session
+    whole = rig.import_rig(folder, tmp_path / "whole").session
     with pytest.raises(StopError):
-        rig.import_frames(folder, tmp_path / "s", threads=1, progress=stopping_after(7))
+        rig.import_rig(folder, tmp_path / "s", threads=1, progress=stopping_after(7))
     kept = Session.open(tmp_path / "s").n_done
     assert 7 <= kept < 18
-    found = rig.import_frames(folder, tmp_path / "s")
+    found = rig.import_rig(folder, tmp_path / "s")
     assert found.n_new == 18 - kept
     assert found.session.complete
     frames = all_frames(found.session)
     for place, frame in all_frames(whole).items():
         np.testing.assert_array_equal(frames[place], frame)
-    assert rig.import_frames(folder, tmp_path / "s").n_new == 0
+    assert rig.import_rig(folder, tmp_path / "s").n_new == 0
 
 
 def test_a_frame_whose_source_was_not_noted_is_read_again(folder, tmp_path):
-    rig.import_frames(folder, tmp_path / "s")
+    rig.import_rig(folder, tmp_path / "s")
     notes = tmp_path / "s" / "sources.jsonl"
     lines = notes.read_text(encoding="utf-8").splitlines(keepends=True)
     notes.write_text("".join(lines[:-2]) + lines[-2][:40], encoding="utf-8")
-    assert rig.import_frames(folder, tmp_path / "s").n_new == 2
-    assert rig.import_frames(folder, tmp_path / "s").n_new == 0
+    assert rig.import_rig(folder, tmp_path / "s").n_new == 2
+    assert rig.import_rig(folder, tmp_path / "s").n_new == 0
 
 
 def test_only_a_file_that_was_replaced_is_read_again(folder, tmp_path):
-    rig.import_frames(folder, tmp_path / "s")
+    rig.import_rig(folder, tmp_path / "s")
     file = folder / "sample/30_0_32.png"
     counts = rig_files.pixels(file)
     counts[40, 40] += 1
     rig_files.write(file, counts)
-    found = rig.import_frames(folder, tmp_path / "s")
+    found = rig.import_rig(folder, tmp_path / "s")
     assert found.n_new == 1
     np.testing.assert_array_equal(Session.open(tmp_path / "s").frame("sample", 0, 1, 1), counts)
 
 
 def test_sources_are_noted(folder, tmp_path):
-    rig.import_frames(folder, tmp_path / "s")
+    rig.import_rig(folder, tmp_path / "s")
     lines = (tmp_path / "s" / "sources.jsonl").read_text(encoding="utf-8").splitlines()
     records = [json.loads(line) for line in lines]
     (one,) = [r for r in records if r["file"] == "white/30_32_1.png"]
@@ -182,14 +182,14 @@ def test_sources_are_noted(folder, tmp_path):
 
 
 def test_other_settings_need_another_session(folder, tmp_path):
-    rig.import_frames(folder, tmp_path / "s")
+    rig.import_rig(folder, tmp_path / "s")
     change(folder, ("black_dn = 64.0", "black_dn = 63.5"))
     with pytest.raises(ConfigurationError, match="made with other settings"):
-        rig.import_frames(folder, tmp_path / "s")
+        rig.import_rig(folder, tmp_path / "s")
 
 
 def test_the_session_does_not_depend_on_the_threads(folder, tmp_path):
-    one, four = (rig.import_frames(folder, tmp_path / f"s{n}", threads=n) for n in (1, 4))
+    one, four = (rig.import_rig(folder, tmp_path / f"s{n}", threads=n) for n in (1, 4))
     for path in sorted((tmp_path / "s1").rglob("*")):
         if path.is_file():
             other = tmp_path / "s4" / path.relative_to(tmp_path / "s1")
@@ -440,7 +440,7 @@ def summed(image, n):
 
 def test_region_and_binning_sum_the_counts(folder, tmp_path):
     change(folder, ("[frames]\n", "[frames]\nregion_px = [8, 4, 80, 88]\nbinning = 4\n"))
-    found = rig.import_frames(folder, tmp_path / "s")
+    found = rig.import_rig(folder, tmp_path / "s")
     assert found.done[0] == (
         "PNG frames of 96 x 96 pixels, 16-bit integer; region of 80 x 88 from column 8, row 4; "
         "4 x 4 pixels summed: 20 x 22 in the session"
@@ -463,7 +463,7 @@ def test_a_block_with_a_saturated_pixel_is_saturated(folder, tmp_path):
     counts[40:48, 40:48] = 1000
     counts[41, 42] = 4095
     rig_files.write(file, counts)
-    frame = rig.import_frames(folder, tmp_path / "s").session.frame("sample", 0, 1, 2)
+    frame = rig.import_rig(folder, tmp_path / "s").session.frame("sample", 0, 1, 2)
     assert frame[10, 10] == 16 * 4095
     assert frame[11, 11] == 16 * 1000
 
@@ -629,7 +629,7 @@ def test_every_frame_of_every_channel_is_imported(folder, tmp_path):
         rig_files.write(path.with_name(f"{path.stem}_a.png"), counts)
         rig_files.write(path.with_name(f"{path.stem}_b.png"), counts[::-1])
         path.unlink()
-    session = rig.import_frames(folder, tmp_path / "s").session
+    session = rig.import_rig(folder, tmp_path / "s").session
     assert session.complete
     a, b = (session.frame("sample", 0, 1, 0, channel=c) for c in (0, 1))
     np.testing.assert_array_equal(a, b[::-1])
@@ -733,10 +733,10 @@ def with_table(folder, rows):
 
 
 def test_a_table_says_the_same_as_a_pattern(folder, tmp_path):
-    by_pattern = rig.import_frames(folder, tmp_path / "a").session
+    by_pattern = rig.import_rig(folder, tmp_path / "a").session
     rows = rows_of(folder)
     with_table(folder, [rows[0], *rows[:0:-1], [""]])  # in any order, with an empty line
-    by_table = rig.import_frames(folder, tmp_path / "b").session
+    by_table = rig.import_rig(folder, tmp_path / "b").session
     assert by_table.metadata == by_pattern.metadata
     frames = all_frames(by_table)
     for place, frame in all_frames(by_pattern).items():
@@ -985,7 +985,7 @@ def test_frames_of_8_bits(folder, tmp_path):
         ("black_dn = 64.0", "black_dn = 3.5"),  # 64/16, and what cutting four bits off loses
         ("gain_dn_per_e = 0.1", "gain_dn_per_e = 0.00625"),
     )
-    found = rig.import_frames(folder, tmp_path / "s")
+    found = rig.import_rig(folder, tmp_path / "s")
     assert not [finding for finding in found.findings if finding.severity == "error"]
     frame = found.session.frame("standard", 0, 0, 1)
     assert frame.dtype == np.uint16
@@ -994,10 +994,10 @@ def test_frames_of_8_bits(folder, tmp_path):
 
 
 def test_counts_at_the_upper_end_of_16_bits_are_divided(folder, tmp_path):
-    plain = all_frames(rig.import_frames(folder, tmp_path / "a").session)
+    plain = all_frames(rig.import_rig(folder, tmp_path / "a").session)
     rig_files.convert(folder, ".png", lambda image: image << 4)
     change(folder, ("[frames]\n", "[frames]\ndivide_by = 16\n"))
-    found = rig.import_frames(folder, tmp_path / "b")
+    found = rig.import_rig(folder, tmp_path / "b")
     assert "counts divided by 16" in found.done[0]
     for place, frame in all_frames(found.session).items():
         np.testing.assert_array_equal(frame, plain[place])
@@ -1088,7 +1088,7 @@ def test_an_interruption_says_what_is_safe(command, folder, tmp_path, monkeypatc
         yield from ()
         raise KeyboardInterrupt
 
-    rig.import_frames(folder, tmp_path / "s")
+    rig.import_rig(folder, tmp_path / "s")
     monkeypatch.setattr(importing, "_read_all", interrupted)
     code, _, err = command("import", folder, "-o", tmp_path / "s")
     assert code == 4
@@ -1115,7 +1115,7 @@ def test_a_mirror_is_imported_for_the_alignment(folder, tmp_path):
         for ms in rig_files.EXPOSURES_MS:
             counts = rig_files.pixels(folder / name.format(30, ms))
             rig_files.write(folder / name.format(-30, ms), counts[:, ::-1])
-    session = rig.import_frames(folder, tmp_path / "s").session
+    session = rig.import_rig(folder, tmp_path / "s").session
     assert session.complete
     assert session.metadata.plan.theta_i_deg == (-30, 0, 30)
 

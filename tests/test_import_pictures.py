@@ -198,7 +198,7 @@ def test_opencv_that_raises(folder, monkeypatch):
 
 
 def frames_of(folder, tmp_path, name):
-    session = rig.import_frames(folder, tmp_path / name).session
+    session = rig.import_rig(folder, tmp_path / name).session
     return [session.bracket(*image) for image in session.metadata.plan.images()]
 
 

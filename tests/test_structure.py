@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gonio.verbs import VERBS
+
 ROOT = Path(__file__).resolve().parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SETUPTOOLS = PYPROJECT["tool"]["setuptools"]
@@ -29,11 +31,6 @@ BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
 
 FOUNDATION = {"_version", "errors", "files", "geometry", "progress"}
 SURFACE = FOUNDATION | {"kernels", "models", "samples", "shared_term", "data"}
-VERBS = {
-    "simulate": "simulation",
-    "reduce": "calibration.reduction.reduce",
-    "fit": "fitting.fit",
-}
 ALL = {"*"}
 
 # Each room of the house and what it may import from gonio, besides itself.
@@ -53,18 +50,19 @@ ALLOWED = {
     "metadata": {"errors"},
     "board": FOUNDATION,
     "session": FOUNDATION | {"metadata"},
+    "plan_file": FOUNDATION | {"metadata"},
     "data": {"errors", "files"},
     "checks": {"errors", "geometry", "samples", "models"},
     "materials": SURFACE,
     "instrument": SURFACE | {"session", "metadata", "materials", "board"},
-    "simulation": SURFACE | {"session", "metadata", "materials", "instrument"},
+    "simulation": SURFACE | {"session", "metadata", "materials", "instrument", "plan_file"},
     "rig": SURFACE | {"session", "metadata", "checks", "calibration"},
     # The reducer never sees the truth, the fitter never sees the inside of the instrument.
     "calibration": FOUNDATION
     | {"session", "metadata", "samples", "shared_term", "board", "kernels.threads"},
     "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels"},
     "planning": SURFACE
-    | {"session", "metadata", "instrument", "simulation", "calibration", "fitting"},
+    | {"session", "metadata", "instrument", "simulation", "calibration", "fitting", "plan_file"},
     # Samples from anywhere, and true parameters: both ask the session, which no fit sees.
     "reading": FOUNDATION | {"samples", "session", "calibration", "formats"},
     "recovery": SURFACE | {"session", "fitting"},
@@ -72,6 +70,7 @@ ALLOWED = {
     "rendering": SURFACE,
     "plotting": ALL,
     "reporting": ALL,
+    "verbs": ALL,
     "cli": ALL,
     "__main__": ALL,
 }
@@ -99,7 +98,7 @@ def room(module: str) -> str:
 def resolve(base: str, name: str, known: set[str]) -> str:
     """Module that `from base import name` loads: a submodule, a verb's module or `base`."""
     if base == "gonio" and name in VERBS:
-        return f"gonio.{VERBS[name]}"
+        return VERBS[name]
     return f"{base}.{name}" if f"{base}.{name}" in known else base
 
 

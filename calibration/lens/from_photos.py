@@ -190,6 +190,14 @@ def calibrate_lens(
         they do not determine the lens.
     ConfigurationError
         If a photograph is given twice.
+
+    Examples
+    --------
+    >>> import gonio, tempfile
+    >>> photos = gonio.boards(tempfile.mkdtemp() + "/photos", count=6)
+    >>> found = calibrate_lens(photos.paths, photos.board, pitch_mm=tuple(photos.camera.pitch_mm))
+    >>> found.reach_deg > 60
+    True
     """
     names = [str(path) for path in paths]
     twice = {name for name in names if names.count(name) > 1}

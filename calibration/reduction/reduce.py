@@ -76,6 +76,17 @@ def reduce(
     rim, in the lamp's entry patch) and averaged with its neighbours in equal-area cells. A cell's
     members span the pixels' areas and the lamp's cone of half-angle a: for a lobe about the half
     vector the cone acts as a blur of the viewing direction of standard deviation a/2 on each axis.
+
+    Examples
+    --------
+    >>> import gonio, tempfile
+    >>> rig = gonio.instrument.preset("ideal12").with_pixels(52)
+    >>> plan = gonio.metadata.Plan(theta_i_deg=(20,), rotations_deg=(0,), exposures_s=(0.1,))
+    >>> session = gonio.simulate("white_ceramic_tile", output=tempfile.mkdtemp() + "/tile.gonio",
+    ...                          instrument=rig, plan=plan)
+    >>> samples = reduce(session)
+    >>> samples.u_independent is not None
+    True
     """
     if not isinstance(session, Session):
         session = Session.open(session)

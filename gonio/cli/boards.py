@@ -183,35 +183,37 @@ def command(
     """
     if output is None and printed is None:
         raise ConfigurationError("give -o FOLDER for photographs or --print BOARD.svg for a board.")
+    from gonio.instrument import load
+
+    rig = load(instrument)
     board = chosen_board(kind, squares, square_mm, marker_mm, dictionary)
     if printed is not None:
         _print_board(board, printed)
     if output is None:
         return
     from gonio.cli.progress import progress
-    from gonio.instrument import load
     from gonio.instrument.board_camera import BoardCamera
-    from gonio.instrument.board_files import save_photos
+    from gonio.verbs.boards import boards
 
     camera = BoardCamera.of(
-        load(instrument),
+        rig,
         binning=binning,
         centre_offset_px=None if centre_offset_px is None else _pair(centre_offset_px),
         psf_px=psf_px,
         field_deg=field_deg,
     )
     with progress(f"photographing a {kind} board", "photographs") as callback:
-        paths = save_photos(
+        photos = boards(
             output,
-            board,
-            camera,
-            n=count,
+            board=board,
+            camera=camera,
+            count=count,
             seed=seed,
             bits=8 if bits == "8" else 16,
             threads=threads,
             progress=callback,
         )
-    _tell(board, camera, output, paths, as_json)
+    _tell(board, camera, output, photos.paths, as_json)
 
 
 def _print_board(board: Board, path: Path) -> None:

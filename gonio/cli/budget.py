@@ -11,6 +11,7 @@ from typing import Any
 
 import rich_click as click
 
+from gonio.cli.inputs import require_measured
 from gonio.cli.measured import pairs, read_source
 from gonio.errors import ConfigurationError
 
@@ -53,11 +54,13 @@ def command(
     the 5th and 95th percentile. Errors that turn the viewing direction count by the slope of f
     over neighbouring samples. What nobody stated is listed as unknown and not counted.
     """
-    from gonio.calibration.budget import budget
     from gonio.cli.options import echo_json, refuse_both
 
     refuse_both(as_json, as_csv, as_latex)
     place = None if at is None else _directions(at)
+    require_measured(source)
+    from gonio.calibration.budget import budget
+
     found = budget(read_source(source, pairs(selections), threads))
     report = found.describe(None if place is None else found.nearest(*place))
     if as_json:

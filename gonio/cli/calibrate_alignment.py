@@ -12,8 +12,6 @@ from gonio.errors import ConfigurationError
 if TYPE_CHECKING:
     from gonio.calibration.dome.alignment import Alignment
     from gonio.calibration.dome.spot_residuals import Length
-    from gonio.calibration.dome.spots import Spot
-    from gonio.session import Session
 
 
 @click.command(name="alignment")
@@ -61,10 +59,6 @@ def command(
     of R. Which figures the spots determine is said, the others are left as they were: lamp on both
     sides and a wedge of 10 deg or more, turned to three azimuths, determine all.
     """
-    from gonio.calibration.dome import geometry_file
-    from gonio.calibration.dome.alignment import fit
-    from gonio.calibration.dome.pixel_map import PixelMap
-    from gonio.calibration.dome.spots import find_spots
     from gonio.cli.options import check_target
     from gonio.session import Session
 
@@ -74,24 +68,16 @@ def command(
             value=output,
         )
     check_target(output)
-    R, separation = (
-        _length("R", r_mm, u_r_mm),
-        _length("separation", separation_mm, u_separation_mm),
-    )
     opened = [Session.open(path) for path in sessions]
-    _check_alike(opened)
-    metadata = opened[0].metadata
-    seen = PixelMap.of(metadata, "exact")
-    spots: list[Spot] = []
-    lost: dict[str, str] = {}
-    for session in opened:
-        found, missing = find_spots(session, seen)
-        where = f"{session.path.name}: " if len(opened) > 1 else ""
-        spots += found
-        lost |= {where + name: why for name, why in missing.items()}
-    alignment = fit(spots, seen, limits=metadata.limits, R=R, separation=separation)
-    geometry_file.write(output, alignment, instrument=metadata.instrument, lost=lost)
-    _tell(alignment, lost, output, as_json)
+    from gonio.calibration.dome.from_mirror import calibrate_alignment
+
+    result = calibrate_alignment(
+        opened,
+        R=_length("R", r_mm, u_r_mm),
+        separation=_length("separation", separation_mm, u_separation_mm),
+    )
+    result.save(output)
+    _tell(result.alignment, result.without_spot, output, as_json)
 
 
 def _length(name: str, value: float | None, u: float | None) -> Length | None:
@@ -105,22 +91,6 @@ def _length(name: str, value: float | None, u: float | None) -> Length | None:
             f"{given} needs {other}: a known length is a value with its standard uncertainty."
         )
     return Length(value, u)
-
-
-def _check_alike(sessions: list[Session]) -> None:
-    """Refuse sessions of different instruments."""
-    first = sessions[0].metadata
-    for session in sessions[1:]:
-        other = session.metadata
-        same = (other.instrument, other.camera, other.lens, other.geometry) == (
-            first.instrument, first.camera, first.lens, first.geometry,
-        )  # fmt: skip
-        if not same:
-            raise ConfigurationError(
-                f"{session.path}: of another instrument, camera or lens than {sessions[0].path}; "
-                "give the sessions of one.",
-                value=session.path,
-            )
 
 
 def _tell(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bool) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli.boards import board_options, chosen_board
+from gonio.cli.inputs import require_photos
 from gonio.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -82,22 +83,26 @@ def command(
     at the rim too, and tilted. The lens is Kannala and Brandt's; OpenCV's own calibrations of the
     same corners are printed beside it.
     """
-    from gonio.calibration.lens import lens_file
-    from gonio.calibration.lens.cross_check import cross_check
-    from gonio.calibration.lens.from_photos import calibrate_lens
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
 
+    paths = _pictures(photos)
+    require_photos(paths)
+    from gonio.calibration.lens import lens_file
+
     lens_file.check_suffix(output)
     check_target(output)
-    _check_picture(picture)
     board = chosen_board(kind, squares, square_mm, marker_mm, dictionary)
-    paths = _pictures(photos)
+    pitch_mm = _pitch_mm(pitch_um)
+    _check_picture(picture)
+    from gonio.calibration.lens.cross_check import cross_check
+    from gonio.calibration.lens.from_photos import calibrate_lens
+
     with progress(f"finding the board in {len(paths)} photographs", "readings") as callback:
         found = calibrate_lens(
             paths,
             board,
-            pitch_mm=_pitch_mm(pitch_um),
+            pitch_mm=pitch_mm,
             field_deg=field_deg,
             free_ratio=fit_aspect,
             progress=callback,

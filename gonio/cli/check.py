@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli.completion import complete_model
-from gonio.errors import ConfigurationError, unknown_name
+from gonio.errors import ConfigurationError
+from gonio.verbs.check import check, named_target
 
 if TYPE_CHECKING:
     from gonio.checks import ModelReport, Pairing, SamplesReport
@@ -54,11 +55,9 @@ def command(
 
     chosen, parameters = _model_of(target, items)
     if chosen is not None:
-        from gonio.checks import check_model
-
         if selections:
             raise ConfigurationError(f"{target} is a model; --select is for files of samples.")
-        report = check_model(chosen, parameters)
+        report = check(chosen, parameters)
         if as_json:
             echo_json(_document(chosen, report))
         else:
@@ -72,34 +71,25 @@ def command(
 
 def _model_of(target: str, items: tuple[str, ...]) -> tuple[Model | None, dict[str, float]]:
     """The model and parameters that the target names; no model where it is a file."""
-    import gonio.materials as materials
-    import gonio.models as models
     from gonio.cli.options import parse_parameters
 
-    path = Path(target)
-    if target in models.names() or ("+" in target and not path.exists() and not path.suffix):
-        chosen = models.get(target)
-        return chosen, parse_parameters(chosen, items)
-    if target in materials.names():
-        named = materials.get(target)
-        chosen = models.get(named.model)
-        return chosen, {**named.parameters, **parse_parameters(chosen, items)}
-    if not path.exists() and path.name == target and not path.suffix:
-        raise unknown_name("model, material or file", target, [*models.names(), *materials.names()])
-    return None, {}
+    named = named_target(target)
+    if named is None:
+        return None, {}
+    chosen, own = named
+    return chosen, {**own, **parse_parameters(chosen, items)}
 
 
 def _check_file(
     path: Path, items: tuple[str, ...], selections: tuple[str, ...], as_json: bool
 ) -> bool:
     import gonio.formats as formats
-    from gonio.checks import check_samples
     from gonio.cli.options import echo_json
 
     if items:
         raise ConfigurationError(f"{path} is a file; -p is for models and materials.")
     samples = formats.read(path, select=_selected(selections))
-    report = check_samples(samples)
+    report = check(samples)
     if as_json:
         echo_json({**report.describe(), "file": str(path), "format": samples.metadata["format"]})
     else:

@@ -10,6 +10,7 @@ import rich_click as click
 
 from gonio.cli.completion import complete_models
 from gonio.cli.constraints import constraint_options, constraints_told, read_fixed, read_tied
+from gonio.cli.inputs import require_measured
 from gonio.cli.measured import read_samples, sample_options
 from gonio.errors import ConfigurationError
 from gonio.fitting.result.lines import WEIGHTS, cuts_line
@@ -73,7 +74,6 @@ def command(
     """
     from gonio.cli.options import check_target, refuse_both
     from gonio.cli.progress import progress
-    from gonio.fitting.comparison.compare import compare
     from gonio.models import get
 
     refuse_both(as_json, as_csv, as_latex)
@@ -81,6 +81,9 @@ def command(
     fixed, tied = _fixed(models, fixes), read_tied(ties)
     if output is not None:
         check_target(output)
+    require_measured(source)
+    from gonio.fitting.comparison.compare import compare
+
     samples, cuts = read_samples(source, selections, max_theta_i, max_theta_r, threads)
     with progress(f"comparing {len(models)} models", "models") as callback:
         found = compare(

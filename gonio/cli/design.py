@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from gonio.models import Model
     from gonio.planning.result import DesignResult
 
+SMALLEST = 3  # images, as `gonio.planning.plan_search` has it, which is slow to load
+
 
 @click.command(name="design")
 @click.option(
@@ -92,10 +94,7 @@ def command(
     """
     from gonio.cli.options import check_target, echo_json
     from gonio.cli.progress import stages
-    from gonio.files import write_text
     from gonio.instrument import load
-    from gonio.planning.plan_file import plan_text
-    from gonio.planning.plan_search import SMALLEST, design
 
     chosen, parameters = _surface(model, items)
     fixed, tied = read_fixed(chosen, fixes), read_tied(ties)
@@ -108,11 +107,14 @@ def command(
         )
     if output is not None:
         check_target(output)
+    rig = load(instrument)
+    from gonio.planning.plan_search import design
+
     with stages() as callback:
         result = design(
             chosen,
             parameters,
-            instrument=load(instrument),
+            instrument=rig,
             wanted=wanted,
             budget=budget,
             fixed=fixed,
@@ -125,11 +127,12 @@ def command(
     if verify is not None:
         document["verification"] = result.verification
     if output is not None:
-        write_text(output, plan_text(result))
+        result.save(output)
     if as_json:
         echo_json(document | {"output": None if output is None else str(output)})
     else:
-        _show(document, output)
+        words = _surface_words(result, instrument)
+        _show(document, None if output is None else f"{words} --plan {output} -o SESSION")
 
 
 def _surface(name: str, items: tuple[str, ...]) -> tuple[Model, dict[str, float]]:
@@ -190,24 +193,27 @@ def _wanted(model: Model, parameters: dict[str, float], text: str | None) -> dic
 # ---------------------------------------------------------------- the terminal
 
 
-def _command(result: DesignResult, instrument: str) -> str:
-    """The words that record the plan's angles."""
-    from gonio.planning.plan_file import listed
-
-    plan, model = result.plan, result.setup.model
+def _surface_words(result: DesignResult, instrument: str) -> str:
+    """The words of 'gonio simulate' for the surface and the instrument."""
+    model = result.setup.model
     given = " ".join(
         f"-p {q.name}={q.to_file(result.parameters[q.name]):.10g}" for q in model.parameters
     )
-    theta_i = listed(plan.theta_i_deg).replace(" ", "")
-    rotations = listed(plan.rotations_deg).replace(" ", "")
-    return (
-        f"gonio simulate --model {model.name} {given} --instrument {instrument} "
-        f"--theta-i {theta_i} --rotations {rotations} -o SESSION"
-    )
+    return f"gonio simulate --model {model.name} {given} --instrument {instrument}"
 
 
-def _show(document: dict[str, Any], output: Path | None) -> None:
-    from gonio.planning.plan_file import listed
+def _command(result: DesignResult, instrument: str) -> str:
+    """The words that record the plan's angles."""
+    from gonio.plan_file import listed
+
+    theta_i = listed(result.plan.theta_i_deg).replace(" ", "")
+    rotations = listed(result.plan.rotations_deg).replace(" ", "")
+    words = _surface_words(result, instrument)
+    return f"{words} --theta-i {theta_i} --rotations {rotations} -o SESSION"
+
+
+def _show(document: dict[str, Any], whole: str | None) -> None:
+    from gonio.plan_file import listed
 
     plan, default = document["plan"], document["default"]
     rows, columns = document["pixels"]
@@ -235,7 +241,7 @@ def _show(document: dict[str, Any], output: Path | None) -> None:
         "Expected is how far a 'gonio fit' to this plan's images lies off, one standard "
         "deviation, if the surface follows the model. Whether it does, further angles must tell."
     )
-    _show_use(document, output)
+    _show_use(document, whole)
 
 
 def _show_parameters(rows: list[dict[str, Any]]) -> None:
@@ -275,16 +281,16 @@ def _show_verification(check: dict[str, Any]) -> None:
         click.echo(f"{row['name']:<12}{predicted:>12}{scatter:>12}{ratio:>8}{bias:>12}")
 
 
-def _show_use(document: dict[str, Any], output: Path | None) -> None:
-    """How to take the plan: on the command line its angles, in Python and for a rig all of it."""
+def _show_use(document: dict[str, Any], whole: str | None) -> None:
+    """How to take the plan: its angles alone, or all of it from a file."""
     click.echo()
     click.echo("Its angles, with every exposure of the instrument:")
     click.echo(f"  {document['command']}")
-    if output is None:
+    if whole is None:
         click.echo("With -o PLAN.toml the whole plan goes to a file.")
         return
-    click.echo("All of it, from Python or as the [plan] of a session.toml for 'gonio import':")
-    click.echo(f"  {output}: Plan(**tomllib.load(file)['plan']) for gonio.simulate(..., plan=plan)")
+    click.echo("All of it; its file is also the [plan] of a session.toml for 'gonio import':")
+    click.echo(f"  {whole}")
 
 
 def _line(name: str, figures: Iterable[str], source: str, at: str) -> str:

@@ -55,10 +55,11 @@ def command(
     """
     from gonio.files import write_text
     from gonio.formats.gonio_csv import directions_table, read_directions
+    from gonio.verbs.evaluate import evaluate
 
     chosen, parameters = _model_and_parameters(model, material, items)
     directions = read_directions(angles)
-    text = directions_table(directions, chosen(directions, **parameters))
+    text = directions_table(directions, evaluate(chosen, directions, parameters))
     if output is None:
         click.echo(text, nl=False)
     else:

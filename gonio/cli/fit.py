@@ -10,6 +10,7 @@ import rich_click as click
 
 from gonio.cli.completion import complete_model
 from gonio.cli.constraints import constraint_options, read_fixed, read_tied
+from gonio.cli.inputs import require_measured
 from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
 from gonio.errors import ConfigurationError
@@ -127,21 +128,24 @@ def command(
     from gonio.cli import joint
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
-    from gonio.fitting.fit import fit
-    from gonio.fitting.problem.constraints import Constraints
-    from gonio.fitting.problem.nuisance_names import parse_names
     from gonio.models import get
-    from gonio.recovery import true_parameters
 
     model = get(model_name)
     start = _starts(model, starts) if starts else None
     fixed, tied = read_fixed(model, fixes), read_tied(ties)
-    Constraints.of(model, fixed, tied)  # before anything is read
     believed = read_priors(priors, model, posterior=posterior)
     if output is not None:
         check_target(output)
     shared = None if share is None else joint.shared_names(model, share)
     named = _inputs(sources, shared)
+    for source in sources:
+        require_measured(source)
+    from gonio.fitting.fit import fit
+    from gonio.fitting.problem.constraints import Constraints
+    from gonio.fitting.problem.nuisance_names import parse_names
+    from gonio.recovery import true_parameters
+
+    Constraints.of(model, fixed, tied)  # before anything is read
     read = {
         name: read_samples(
             source, selections, max_theta_i, max_theta_r, threads,

@@ -133,8 +133,11 @@ def _copy_demo(folder: Path) -> None:
 
 
 def _import(rig: Path, output: Path | None, threads: int | None, as_json: bool) -> None:
+    from gonio.cli.inputs import require_rig
     from gonio.cli.progress import progress
-    from gonio.rig import check_frames, import_frames
+
+    require_rig(rig)
+    from gonio.rig import check_frames, import_rig
 
     name = rig.resolve().name
     try:
@@ -143,7 +146,7 @@ def _import(rig: Path, output: Path | None, threads: int | None, as_json: bool) 
                 found = check_frames(rig, threads=threads, progress=callback)
         else:
             with progress(f"importing {name}", "frames") as callback:
-                found = import_frames(rig, output, threads=threads, progress=callback)
+                found = import_rig(rig, output, threads=threads, progress=callback)
     except KeyboardInterrupt:
         _interrupted(output)
     _tell(found, rig, output, as_json)

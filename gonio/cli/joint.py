@@ -73,7 +73,7 @@ def with_inputs(result: FitResult, named: Mapping[str, Path]) -> FitResult:
     return replace(result, parts=tuple(parts))
 
 
-def part_chooser(
+def chooser(
     source: Path, selections: tuple[str, ...], *, middle: bool = False
 ) -> Callable[[FitResult], FitResult]:
     """What takes the part that --select names out of a joint fit, and leaves another fit alone.
@@ -88,44 +88,39 @@ def part_chooser(
     ConfigurationError
         By the function, if the selection leaves no part or several.
     """
-    select = pairs(selections)
+    from gonio.fitting.part_choice import part_chooser
+
+    def tell(fit: FitResult, part: PartFit) -> None:
+        click.echo(
+            f"{source} is a fit of {len(fit.parts)} parts: drawn is {part.name}; choose with "
+            f"{how_to_choose(part)}.",
+            err=True,
+        )
+
+    choose_part = part_chooser(
+        pairs(selections),
+        where=str(source),
+        middle=tell if middle else None,
+        shown=how_to_choose,
+    )
 
     def choose(fit: FitResult) -> FitResult:
-        part = _chosen(fit, source, select)
-        if not fit.parts:
-            return fit
-        if part is None and middle and not select:
-            part = fit.parts[len(fit.parts) // 2]
-            click.echo(f"{source} is a fit of {len(fit.parts)} parts: drawn is {part.name}; "
-                       f"choose with {how_to_choose(part)}.", err=True)  # fmt: skip
-        if part is None:
-            raise ConfigurationError(
-                f"{source}: is a joint fit of {len(fit.parts)} parts; choose one, as with "
-                f"{how_to_choose(fit.parts[0])}, of {', '.join(p.name for p in fit.parts)}.",
-                value=source,
-            )
-        return fit.part(part.name)
+        try:
+            return choose_part(fit)
+        except ConfigurationError as error:
+            text = str(error).replace("the selection", "--select")
+            if text.startswith("selection "):
+                text = f"--select {text.removeprefix('selection ')}"
+            raise ConfigurationError(text, value=error.value) from None
 
     return choose
 
 
-def _chosen(fit: FitResult, source: Path, select: Mapping[str, str]) -> PartFit | None:
-    """The part that is selected, with the name of the option in the messages."""
-    from gonio.fitting.part_choice import choose_part
-
-    try:
-        return choose_part(fit, select, where=str(source))
-    except ConfigurationError as error:
-        text = str(error).replace("the selection", "--select")
-        if text.startswith("selection "):
-            text = f"--select {text.removeprefix('selection ')}"
-        raise ConfigurationError(text, value=error.value) from None
-
-
 def how_to_choose(part: PartFit) -> str:
     """What to write behind a command to choose this part."""
-    pairs = dict(part.select) if part.input is None else {"part": part.name}
+    from gonio.fitting.part_choice import how_to_select
+
     return " ".join(
         f"--select '{key}={value}'" if " " in value else f"--select {key}={value}"
-        for key, value in pairs.items()
+        for key, value in how_to_select(part).items()
     )

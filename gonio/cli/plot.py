@@ -2,53 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import rich_click as click
 
 from gonio.errors import ConfigurationError, DataError, unknown_name
+from gonio.verbs.plot import KINDS, SIGNS, plot
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from gonio.fitting.result import FitResult
-    from gonio.models import Model
-    from gonio.samples import BRDFSamples
-    from gonio.session import Session
-
-# What each kind of picture is made of.
-KINDS = {
-    "summary": "samples",
-    "slices": "samples",
-    "hemisphere": "samples or model",
-    "residuals": "fit",
-    "frames": "session",
-    "lobe": "model",
-    "solid": "model",
-    "albedo": "model",
-}
 SMALLEST_PAGE = 0.85  # of the size that the page is made for
-SIGNS = ("model:", "material:")
-
-
-@dataclass(frozen=True)
-class _Content:
-    """What there is to draw; what is not there is None."""
-
-    fit: FitResult | None = None
-    samples: BRDFSamples | None = None
-    session: Session | None = None
-    draws: Any = None
-    model: Model | None = None
-    parameters: Mapping[str, float] | None = None
-
-    def has(self, what: str) -> bool:
-        """Whether there is one of the things that are named, as in "samples or model"."""
-        return any(getattr(self, word) is not None for word in what.split(" or "))
 
 
 @click.command(name="plot")
@@ -117,19 +82,12 @@ def command(
         output = Path(f"{name}.png") if named else Path(source).with_suffix(".png")
     _check(None if named else Path(source), output, kind, items)
     inches = _inches(size, dpi)
-    content = _named(source, items) if named else _read(Path(source), selections)
     kind = kind or ("lobe" if named else "summary")
-    if not content.has(KINDS[kind]):
-        raise ConfigurationError(
-            f"--kind {kind} is drawn of {KINDS[kind]}, and {source} has none; it can be drawn "
-            f"as {', '.join(k for k, what in KINDS.items() if content.has(what))}.",
-            value=kind,
-        )
-    from gonio.plotting import save
-
-    figure = _drawn(kind, content)
+    figure = _figure(source, kind, _parameters(source, items) if named else {}, selections)
     if kind == "summary" and inches is not None:
         _check_page(inches, tuple(figure.get_size_inches()))
+    from gonio.plotting import save
+
     save(figure, output, size=inches, dpi=dpi)
     click.echo(f"written to {output}", err=True)
 
@@ -137,7 +95,6 @@ def command(
 def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str, ...]) -> None:
     """Refuse what cannot be drawn or written before matplotlib is loaded."""
     from gonio.cli.options import check_target
-    from gonio.plotting.style import format_of
 
     if kind is not None and kind not in KINDS:
         raise unknown_name("kind of picture", kind, KINDS)
@@ -152,6 +109,8 @@ def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str
                 f"-p goes with model:NAME or material:NAME, and {source} has its own values.",
                 value=items,
             )
+    from gonio.plotting.style import format_of
+
     format_of(output)
     check_target(output)
 
@@ -177,130 +136,39 @@ def _check_page(size: tuple[float, float], own: tuple[float, float]) -> None:
         )
 
 
-def _named(source: str, items: tuple[str, ...]) -> _Content:
-    """A model or a material by its name, with the parameters that were given."""
+def _parameters(source: str, items: tuple[str, ...]) -> dict[str, float]:
+    """The parameters that were given for a model or a material."""
     import gonio.materials as materials
     import gonio.models as models
     from gonio.cli.options import parse_parameters
 
     sign, _, name = source.partition(":")
-    known: dict[str, float] = {}
-    if sign == "material":
-        material = materials.get(name)
-        name, known = material.model, dict(material.parameters)
-    model = models.get(name)
-    return _Content(model=model, parameters=known | parse_parameters(model, items))
+    model = models.get(materials.get(name).model if sign == "material" else name)
+    return parse_parameters(model, items)
 
 
-def _read(source: Path, selections: tuple[str, ...]) -> _Content:
+def _figure(
+    source: str, kind: str | None, parameters: dict[str, float], selections: tuple[str, ...]
+) -> Figure:
+    """The figure, with the options' names in the messages."""
+    from gonio.cli.joint import chooser
     from gonio.cli.measured import pairs
-
-    if source.suffix == ".json":
-        return _fitted(source, selections)
-    samples, session = _measured(source, pairs(selections))
-    return _Content(samples=_one_channel(source, samples), session=session)
-
-
-def _fitted(source: Path, selections: tuple[str, ...]) -> _Content:
-    """A fit with what belongs to it; the samples must be there, the rest may be missing."""
-    import gonio.models as models
-    from gonio.cli.joint import part_chooser
-    from gonio.reporting.inputs import gather
-
-    found = gather(source, _reduced, part_chooser(source, selections, middle=True))
-    if found.samples is None:
-        why = next(line for line in found.absent if line.startswith("The samples: "))
-        raise DataError(
-            f"{source}: {why.removeprefix('The samples: ')} Change to the folder in which "
-            "'gonio fit' was run, or make the fit again.",
-            value=source,
-        )
-    for line in found.absent:
-        click.echo(f"Left out of the picture: {line}", err=True)
-    fit = found.fit
-    session = found.session or _session(source, found.samples)
-    model = models.get(fit.model)
-    return _Content(fit, found.samples, session, found.draws, model, fit.values())
-
-
-def _measured(path: Path, select: Mapping[str, str]) -> tuple[BRDFSamples, Session | None]:
-    """Samples from a file or a session, and the session where it is there."""
     from gonio.cli.progress import stages
-    from gonio.reading import load_with_session
 
-    with stages() as callback:
-        samples, session = load_with_session(path, select, progress=callback)
-    return samples, session or _session(path, samples)
-
-
-def _reduced(session: Session) -> BRDFSamples:
-    from gonio.calibration.reduction.reduce import reduce
-    from gonio.cli.progress import progress
-
-    with progress(f"reducing {session.path.name or session.path}", "images") as callback:
-        return reduce(session, progress=callback)
-
-
-def _session(path: Path, samples: BRDFSamples) -> Session | None:
-    """The session that the samples came from; without it the frames are left out."""
-    from gonio.session import Session
-
-    name = samples.metadata.get("session")
-    if not name:
-        return None
-    found = _find(str(name), path)
-    if found is None:
-        click.echo(
-            f"the session {name} is not there: its frames are left out of the picture.", err=True
-        )
-        return None
-    return Session.open(found)
-
-
-def _one_channel(source: Path, samples: BRDFSamples) -> BRDFSamples:
-    """One BRDF at a time: of several wavelengths or channels the middle one, and says which."""
-    import gonio.formats as formats
-
-    for key, column in (("wavelength", samples.wavelength_nm), ("channel", samples.channel)):
-        values = [] if column is None else sorted(set(column.tolist()))
-        if len(values) > 1:
-            middle = str(values[len(values) // 2])
-            click.echo(f"{source} holds {len(values)} {key}s: drawn is {key} {middle}.", err=True)
-            samples = formats.choose(samples, {key: middle})
-    return samples
-
-
-def _find(name: str, beside: Path) -> Path | None:
-    """A file by the name it had: from the current folder, or beside another file."""
-    candidates = (Path(name), beside.parent / name, beside.parent / Path(name).name)
-    return next((path for path in candidates if path.exists()), None)
-
-
-def _drawn(kind: str, content: _Content) -> Figure:
-    """The figure of one kind; `content` has what the kind is made of."""
-    import gonio.plotting as plotting
-
-    fit, samples, session = content.fit, content.samples, content.session
-    model, values = content.model, content.parameters
-    figures: dict[str, Callable[[], Figure]] = {}
-    if samples is not None:
-        figures["summary"] = lambda: plotting.summary(fit, samples, session, content.draws)
-        figures["slices"] = lambda: _figure(plotting.slices(samples, fit))
-        figures["hemisphere"] = lambda: _figure(*plotting.hemisphere_samples(samples))
-        if fit is not None:
-            figures["residuals"] = lambda: _figure(*plotting.residual_map(samples, fit))
-    if session is not None:
-        figures["frames"] = lambda: _figure(*plotting.frames(session))
-    if model is not None:
-        figures["lobe"] = lambda: _figure(*plotting.model_lobes(model, values))
-        figures["solid"] = lambda: _figure(plotting.lobe_solid(model, values))
-        figures["albedo"] = lambda: _figure(plotting.albedo_curve(model, values))
-        figures.setdefault("hemisphere", lambda: _figure(*plotting.hemisphere_map(model, values)))
-    return figures[kind]()
-
-
-def _figure(*axes: Axes) -> Figure:
-    """The figure on which these axes stand."""
-    figure = axes[0].get_figure(root=True)
-    assert figure is not None
-    return figure
+    fit = Path(source).suffix == ".json" and not source.startswith(SIGNS)
+    try:
+        with stages() as callback:
+            return plot(
+                source,
+                kind,
+                parameters=parameters,
+                select=pairs(selections),
+                choose=chooser(Path(source), selections, middle=True) if fit else None,
+                note=lambda text: click.echo(text, err=True),
+                progress=callback,
+            )
+    except ConfigurationError as error:
+        text = str(error)
+        if text.startswith("kind "):
+            raise ConfigurationError(f"--{text}", value=error.value) from None
+        raise

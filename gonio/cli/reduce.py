@@ -69,7 +69,6 @@ def command(
     and averaged in cells, over which a fit integrates, with the lamp's cone. The file is written
     whole or not at all.
     """
-    from gonio.calibration.reduction.reduce import reduce
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.session import Session
@@ -81,6 +80,12 @@ def command(
     check_target(output)
     opened = Session.open(session)
     opened.require_complete()
+    if geometry is not None:
+        from gonio.calibration.dome import geometry_file
+
+        geometry_file.read(geometry)  # before anything slow is imported
+    from gonio.calibration.reduction.reduce import reduce
+
     with progress(f"reducing {session.name or session}", "images") as callback:
         samples = reduce(
             opened,

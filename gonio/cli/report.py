@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
+from gonio.cli.inputs import require_fit
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from gonio.fitting.result import FitResult
-    from gonio.samples import BRDFSamples
-    from gonio.session import Session
 
 
 @click.command(name="report")
@@ -92,8 +91,9 @@ def command(
     they had, from the current folder and from that of FIT.json; what is gone is left out, and the
     page says so. A browser prints the page as PDF.
     """
-    from gonio.cli.joint import part_chooser
+    from gonio.cli.joint import chooser
     from gonio.cli.options import check_target, refuse_both
+    from gonio.cli.progress import stages
 
     refuse_both(as_csv, as_latex)
     only_table = (as_csv or as_latex) and output is None
@@ -104,20 +104,21 @@ def command(
         )
     if not only_table:
         check_target(output)
+    require_fit(source)
     from gonio.reporting.statement import statement
 
     stated = statement(operator, dates, issued, serials, coverage, dof)
-    choose = part_chooser(source, selections)
+    choose = chooser(source, selections)
     if as_csv or as_latex:
         _print_table(source, choose if selections else None, stated.coverage, as_latex)
     if only_table:
         return
-    from gonio.files import write_text
-    from gonio.reporting import gather, page
+    from gonio.verbs.report import report
 
-    inputs = gather(source, _reduce, choose)
-    write_text(output, page(inputs, stated))
-    for line in inputs.absent:
+    with stages() as callback:
+        made = report(source, choose=choose, statement=stated, progress=callback)
+    made.save(output)
+    for line in made.absent:
         click.echo(f"left out: {line}", err=True)
     click.echo(f"written to {output}", err=True)
 
@@ -135,11 +136,3 @@ def _print_table(
     fit = FitResult.load(source)
     table = fit_table(fit if choose is None else choose(fit), coverage)
     click.echo(table.latex() if as_latex else table.csv(), nl=False)
-
-
-def _reduce(session: Session) -> BRDFSamples:
-    from gonio.calibration.reduction.reduce import reduce
-    from gonio.cli.progress import progress
-
-    with progress(f"reducing {session.path.name or session.path}", "images") as callback:
-        return reduce(session, progress=callback)

@@ -60,6 +60,13 @@ MAX_WEDGE_DEG = 45.0
     help="Folder of raw frames to make, or to continue after an interruption.",
 )
 @click.option(
+    "--plan",
+    "plan_file",
+    metavar="PLAN.toml",
+    type=click.Path(path_type=Path),
+    help="Angles, exposures and takes of a file that 'gonio design -o' wrote.",
+)
+@click.option(
     "--theta-i",
     metavar="DEG,DEG,...",
     help="Incidence angles; 21 from 0 to the reach of the lamp arm where not given.",
@@ -112,6 +119,7 @@ def command(
     instrument: str,
     seed: int,
     output: Path,
+    plan_file: Path | None,
     theta_i: str | None,
     rotations: str | None,
     standard_at: float | None,
@@ -130,13 +138,21 @@ def command(
     """
     from gonio.cli.progress import progress
     from gonio.instrument import load
+    from gonio.plan_file import read_plan
     from gonio.simulation import MIRROR, simulate
 
     _check_mirror(mirror, wedge, material or model, items, standard_at, transmission)
+    _check_plan(plan_file, theta_i, rotations, standard_at, mirror or transmission)
+    planned = None if plan_file is None else read_plan(plan_file)
     chosen, parameters = (None, {}) if mirror else _surface(material, model, items)
     rig = load(instrument)
-    plan = _plan(rig, chosen, parameters, standard_at, transmission=transmission, wedge=wedge)
-    plan = _with_angles(plan, rig, theta_i, rotations)
+    if planned is None:
+        plan = _plan(rig, chosen, parameters, standard_at, transmission=transmission, wedge=wedge)
+        plan = _with_angles(plan, rig, theta_i, rotations)
+    else:
+        plan = planned
+        for angle in plan.theta_i_deg:
+            _check_reach("--plan", angle, rig, 0.0)
     there = _frames_there(output)
     name = material or (chosen.name if chosen else MIRROR)
     try:
@@ -181,6 +197,27 @@ def _check_mirror(
         if given:
             raise ConfigurationError(
                 f"--mirror records a mirror alone; leave {name} out.", value=surface
+            )
+
+
+def _check_plan(
+    plan: Path | None,
+    theta_i: str | None,
+    rotations: str | None,
+    standard_at: float | None,
+    other_mode: bool,
+) -> None:
+    """Refuse what a plan from a file says already."""
+    given = {
+        "--theta-i": theta_i is not None,
+        "--rotations": rotations is not None,
+        "--standard-at": standard_at is not None,
+        "--mirror and --transmission": other_mode,
+    }
+    for name, is_given in given.items() if plan is not None else ():
+        if is_given:
+            raise ConfigurationError(
+                f"--plan {plan} says which images are taken; leave {name} out.", value=plan
             )
 
 

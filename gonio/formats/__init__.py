@@ -137,10 +137,21 @@ def choose(
     return samples
 
 
-def _format_of(path: Path) -> ModuleType:
+def require_file(path: Path) -> None:
+    """Refuse what is no file.
+
+    Raises
+    ------
+    DataError
+        If there is none of this name, or it is a folder.
+    """
     if not path.is_file():
         kind = "a folder, not a file" if path.is_dir() else "no such file"
         raise DataError(f"{path}: {kind}; give a file of BRDF samples.", value=path)
+
+
+def _format_of(path: Path) -> ModuleType:
+    require_file(path)
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)

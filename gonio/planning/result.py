@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from gonio.files import write_text
 from gonio.instrument import Instrument
 from gonio.metadata import Plan
 from gonio.models import Parameter
+from gonio.plan_file import plan_text
 from gonio.planning.information import Expected
 from gonio.planning.virtual_session import Setup
 
@@ -80,6 +84,22 @@ class DesignResult:
             "reached": all(reached) if reached else None,
             "remarks": self._remarks(rows),
         }
+
+    def plan_text(self) -> str:
+        """The plan as a table [plan] of TOML, with what it was made for in a comment."""
+        model = self.setup.model
+        values = ", ".join(
+            f"{q.name} = {q.to_file(self.parameters[q.name]):.6g}{' ' * bool(q.file_unit)}"
+            f"{q.file_unit}"
+            for q in model.parameters
+        )
+        heading = f"Plan of 'gonio design' for {model.name} on {self.instrument.name}:"
+        return plan_text(self.plan, [heading, *textwrap.wrap(values, 90)])
+
+    def save(self, path: str | Path) -> Path:
+        """Write the plan for ``gonio.simulate(plan=...)`` or a rig's session.toml, as TOML."""
+        write_text(Path(path), self.plan_text())
+        return Path(path)
 
     def _rows(self) -> list[dict[str, Any]]:
         _, _, reported = self.setup.constraints.unknowns(self.setup.model)

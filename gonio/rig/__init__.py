@@ -4,7 +4,7 @@
 as raw counts (`pictures`), and nothing is subtracted, scaled or repaired on the way.
 """
 
-from gonio.rig.importing import Imported, check_frames, import_frames
+from gonio.rig.importing import Imported, check_frames, import_rig
 from gonio.rig.session_file import RigFile, read
 
-__all__ = ["Imported", "RigFile", "check_frames", "import_frames", "read"]
+__all__ = ["Imported", "RigFile", "check_frames", "import_rig", "read"]

@@ -60,7 +60,7 @@ class Imported:
     n_new: int
 
 
-def import_frames(
+def import_rig(
     folder: str | Path,
     output: str | Path,
     *,
@@ -91,6 +91,15 @@ def import_frames(
         If session.toml cannot be used, or another session stands at `output`.
     DataError
         If files are missing, damaged, of several sizes or no raw counts, or the disk is full.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from importlib import resources
+    >>> demo = resources.files("gonio.data") / "demo_rig"
+    >>> imported = import_rig(str(demo), tempfile.mkdtemp() + "/rig.gonio")
+    >>> imported.session.complete, imported.n_new == imported.metadata.plan.n_frames
+    (True, True)
     """
     prepared = _Prepared.of(folder)
     described = prepared.described
@@ -126,7 +135,7 @@ def check_frames(
     Raises
     ------
     ConfigurationError, DataError
-        As `import_frames` does.
+        As `import_rig` does.
     """
     prepared = _Prepared.of(folder)
     read = {place: source for place, _, source in _read_all(prepared, {}, threads, progress)}

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import json
-import textwrap
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.metadata import Plan
-from gonio.planning.result import DesignResult
 
 
-def plan_text(result: DesignResult) -> str:
-    """The plan as a table [plan] of TOML, with what it was made for in a comment."""
-    plan, model = result.plan, result.setup.model
-    values = ", ".join(
-        f"{q.name} = {q.to_file(result.parameters[q.name]):.6g}{' ' * bool(q.file_unit)}"
-        f"{q.file_unit}"
-        for q in model.parameters
-    )
+def plan_text(plan: Plan, comment: Sequence[str] = ()) -> str:
+    """The plan as a table [plan] of TOML, under a comment of some lines."""
     lines = [
-        f"# Plan of 'gonio design' for {model.name} on {result.instrument.name}:",
-        *(f"# {line}" for line in textwrap.wrap(values, 90)),
+        *(f"# {line}" for line in comment),
         "[plan]",
         f"theta_i_deg = [{listed(plan.theta_i_deg)}]",
         f"rotations_deg = [{listed(plan.rotations_deg)}]",

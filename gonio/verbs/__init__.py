@@ -1,0 +1,80 @@
+"""The names of `gonio` in Python: its verbs, its rooms, and which command each verb is.
+
+A verb that has a room of its own stands there; the others have a file each in this folder. The
+root package, the tests and the manual's table of commands read the names here.
+"""
+
+from __future__ import annotations
+
+# Verb and the module that holds the function of this name, in the order of the work.
+VERBS = {
+    "design": "gonio.planning.plan_search",
+    "simulate": "gonio.simulation",
+    "import_rig": "gonio.rig.importing",
+    "load": "gonio.reading",
+    "reduce": "gonio.calibration.reduction.reduce",
+    "fit": "gonio.fitting.fit",
+    "compare": "gonio.fitting.comparison.compare",
+    "plot": "gonio.verbs.plot",
+    "report": "gonio.verbs.report",
+    "render": "gonio.rendering.integrate",
+    "evaluate": "gonio.verbs.evaluate",
+    "budget": "gonio.calibration.budget",
+    "check": "gonio.verbs.check",
+    "calibrate_lens": "gonio.calibration.lens.from_photos",
+    "calibrate_alignment": "gonio.calibration.dome.from_mirror",
+    "boards": "gonio.verbs.boards",
+    "doctor": "gonio.verbs.doctor",
+}
+
+# Modules and packages below the root that resolve after `import gonio` alone.
+ROOMS = (
+    "board",
+    "calibration",
+    "checks",
+    "data",
+    "errors",
+    "files",
+    "fitting",
+    "formats",
+    "geometry",
+    "instrument",
+    "materials",
+    "metadata",
+    "models",
+    "planning",
+    "plotting",
+    "reading",
+    "recovery",
+    "rendering",
+    "reporting",
+    "rig",
+    "samples",
+    "session",
+    "simulation",
+)
+
+# Commands whose name in Python is not the same word: `import` is a word of the language, a group
+# has its verbs in one name, and lists are rooms.
+PYTHON_NAMES = {
+    "import": "import_rig",
+    "calibrate lens": "calibrate_lens",
+    "calibrate alignment": "calibrate_alignment",
+    "instruments": "instrument",
+}
+
+
+def python_name(command: str) -> str:
+    """The name in `gonio` of what a command does.
+
+    Parameters
+    ----------
+    command : str
+        The words behind ``gonio`` that call it.
+
+    Examples
+    --------
+    >>> python_name("fit"), python_name("calibrate lens")
+    ('fit', 'calibrate_lens')
+    """
+    return PYTHON_NAMES.get(command, command)

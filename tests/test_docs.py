@@ -276,6 +276,16 @@ def test_the_index_of_commands_is_that_of_the_help():
     assert "4 interrupted, the same command continues" in index
 
 
+def test_the_table_gives_every_command_its_name_in_python():
+    table = command_pages.command_table()
+    assert "| [`gonio fit`](../commands/fit.md) | [`gonio.fit`](gonio.rst) |" in table
+    assert "[`gonio import`](../commands/import.md) | [`gonio.import_rig`](gonio.rst)" in table
+    assert "| [`gonio.instrument`](gonio.instrument.rst) |" in table
+    single = [w for w, c in command_pages.commands().items() if not isinstance(c, click.Group)]
+    assert len(table.splitlines()) == 2 + len(single)
+    assert table in command_pages.python_index(command_pages.rooms())
+
+
 def test_every_room_of_the_package_has_a_page_or_is_left_out_on_purpose():
     shown = {name.removeprefix("gonio.") for name in command_pages.rooms()} - {"gonio"}
     on_disk = {path.stem for path in (ROOT / "gonio").glob("[a-z]*.py")}

@@ -80,7 +80,7 @@ def calibrate_alignment(
     >>> rig = gonio.instrument.preset("ideal12").with_pixels(208)
     >>> folder = tempfile.mkdtemp() + "/mirror.gonio"
     >>> plan = mirror_plan(rig, wedge_deg=15.0)
-    >>> session = gonio.simulate(output=folder, instrument=rig, plan=plan, truth_images=False)
+    >>> session = gonio.simulate(output=folder, instrument=rig, plan=plan)
     >>> found = calibrate_alignment(session, R=Length(rig.dome.R, 0.01))
     >>> bool(abs(found.alignment.values["D"] - rig.dome.D) < 0.1)
     True

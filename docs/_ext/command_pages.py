@@ -15,6 +15,7 @@ from model_pages import escape, literal, text, toctree
 
 import gonio
 from gonio.cli import group
+from gonio.verbs import VERBS, python_name
 
 # Rooms of the package in the order of the work; rooms that are not named here follow.
 ORDER = ["models", "geometry", "samples", "session", "materials", "instrument", "simulation"]
@@ -176,6 +177,20 @@ def _kind(member: object) -> str:
     return "exception" if issubclass(member, BaseException) else "class"
 
 
+def command_table() -> str:
+    """Every command with what does the same in Python: one row a command that is no group."""
+    rows = ["| command | Python | what it does |", "|---|---|---|"]
+    for words, command in commands().items():
+        if isinstance(command, click.Group):
+            continue
+        name = python_name(words)
+        page = "gonio" if name in VERBS else f"gonio.{name}"
+        link = f"[`gonio {words}`](../commands/{words.replace(' ', '_')}.md)"
+        told = escape(command.get_short_help_str(limit=200))
+        rows.append(f"| {link} | [`gonio.{name}`]({page}.rst) | {told} |")
+    return "\n".join(rows)
+
+
 def python_index(names: list[str]) -> str:
     lines = []
     for name in names:
@@ -186,6 +201,13 @@ def python_index(names: list[str]) -> str:
         "Angles in Python are radians, lengths millimetres; another unit stands in the name "
         "(`_deg`, `_px`). Errors that a user can mend are `gonio.errors.GonioError` and carry the "
         "offending value.",
+        "## Commands and their names in Python",
+        "A command reads options, calls the function of the same name, and prints or saves what it "
+        "returns. The function prints nothing. Where Python cannot have the command's name the "
+        "table gives another; a list of things is a module. Everything loads at first use: after "
+        "`import gonio` alone, `gonio.fit` and `gonio.models` are there.",
+        command_table(),
+        "## Modules",
         "\n".join(lines),
         toctree(iter(names)),
     ]

@@ -193,11 +193,18 @@ def calibrate_lens(
 
     Examples
     --------
-    >>> import gonio, tempfile
-    >>> photos = gonio.boards(tempfile.mkdtemp() + "/photos", count=6)
-    >>> found = calibrate_lens(photos.paths, photos.board, pitch_mm=tuple(photos.camera.pitch_mm))
-    >>> found.reach_deg > 60
-    True
+    Twenty photographs take a minute:
+
+    >>> board = Board("charuco", 12, 9, 20.0)
+    >>> paths = sorted(Path("photos").glob("*.png"))
+    >>> found = calibrate_lens(paths, board, pitch_mm=(0.00345, 0.00345))  # doctest: +SKIP
+    >>> found.fit.lens.f, found.reach_deg  # doctest: +SKIP
+
+    What cannot be is refused at once:
+
+    >>> calibrate_lens(["a.png", "a.png"], board, pitch_mm=(0.00345, 0.00345))
+    Traceback (most recent call last):
+    gonio.errors.ConfigurationError: a.png: is given twice; give each photograph once.
     """
     names = [str(path) for path in paths]
     twice = {name for name in names if names.count(name) > 1}

@@ -43,8 +43,9 @@ demo: $(INSTALLED)  ## simulate, reduce, fit and plot one material into demo/
 	gonio fit demo/rolled_aluminum.nc --model ward --posterior --seed 1 --truth demo/rolled_aluminum.gonio -o demo/rolled_aluminum.json
 	gonio plot demo/rolled_aluminum.json -o demo/rolled_aluminum.png
 
+# A process for each core; the tests of one file stay together, they share what is slow to make.
 test: $(INSTALLED)  ## run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 bench: $(INSTALLED)  ## time the loops against numpy and other programs, BENCH='--only peers' some
 	$(BIN)/python -m benchmarks $(BENCH)

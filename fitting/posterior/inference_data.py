@@ -119,13 +119,19 @@ def _log_likelihood(
 
 
 def _packed(groups: dict[str, Any]) -> Any:
-    """The groups as arviz takes them: its own type below version 1, a DataTree from there on."""
+    """The groups as arviz takes them: its own type below version 1, a DataTree from there on.
+
+    Without arviz, which is an extra of the package, the DataTree too: it needs xarray alone.
+    """
+    import xarray as xr
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # arviz announces its next major version
-        import arviz
-
-        if hasattr(arviz, "InferenceData"):
-            return arviz.InferenceData(**groups)
-    import xarray as xr
+        try:
+            from arviz import InferenceData
+        except ImportError:
+            pass
+        else:
+            return InferenceData(**groups)
 
     return xr.DataTree.from_dict({f"/{name}": dataset for name, dataset in groups.items()})

@@ -21,6 +21,7 @@ sys.path.insert(0, str(HERE / "_ext"))
 mpl.use("Agg")
 
 import angles  # noqa: E402
+import calibration_pages  # noqa: E402
 import command_pages  # noqa: E402
 import model_pages  # noqa: E402
 import notebook_pages  # noqa: E402
@@ -63,12 +64,13 @@ ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.m
 def generate(app: Any) -> None:
     """Write everything below docs/_generated anew."""
     shutil.rmtree(GENERATED, ignore_errors=True)
-    for name in ("models", "commands", "python", "papers", "render"):
+    for name in ("models", "commands", "python", "papers", "render", "calibration"):
         (GENERATED / name).mkdir(parents=True)
     model_pages.write(GENERATED / "models", (HERE / "errata.md").read_text(encoding="utf-8"))
     command_pages.write_commands(GENERATED / "commands")
     command_pages.write_python(GENERATED / "python")
     notebook_pages.write(GENERATED / "papers", ROOT / "notebooks", HERE / "papers")
+    calibration_pages.write(GENERATED / "calibration")
     angles.draw(GENERATED / "angles.png")
     render_pictures.write(GENERATED / "render")
     for source, target in ROOT_PAGES.items():

@@ -13,10 +13,11 @@ import pytest
 from gonio import instrument
 from gonio.board import Board, dictionaries
 from gonio.calibration.lens import boards
-from gonio.calibration.lens.bundle_adjustment import Pose, rotation_vector
+from gonio.calibration.lens.board_poses import Pose
 from gonio.calibration.lens.corner_template import Ink, refine
 from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.image_circle import fit_image_circle
+from gonio.calibration.lens.rotations import rotation_vector
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import angles, unit_vectors
 from gonio.instrument import board_photos, board_poses

@@ -11,11 +11,13 @@ import pytest
 
 from gonio.board import Board
 from gonio.calibration.lens import bundle_adjustment as lens_fit
-from gonio.calibration.lens.bundle_adjustment import Pose, View, fit_lens, place, rotation
+from gonio.calibration.lens.board_poses import Pose, View, place
+from gonio.calibration.lens.bundle_adjustment import fit_lens
 from gonio.calibration.lens.cross_check import cross_check
 from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.from_photos import LensFromPhotos
 from gonio.calibration.lens.image_circle import ImageCircle
+from gonio.calibration.lens.rotations import left_jacobian, rotation, rotation_vector
 from gonio.errors import DataError
 from gonio.geometry import angles, unit_vectors
 
@@ -33,7 +35,7 @@ def towards(theta_deg, phi_deg, tilt=(0.0, 0.0, 0.0), distance=120.0):
     facing = rotation(np.radians(theta_deg) * np.array([np.cos(across), np.sin(across), 0.0]))
     turned = facing @ rotation(np.asarray(tilt, float))
     place = unit_vectors(np.radians(theta_deg), np.radians(phi_deg)) * distance
-    return Pose(lens_fit.rotation_vector(turned), place - turned @ MIDDLE)
+    return Pose(rotation_vector(turned), place - turned @ MIDDLE)
 
 
 def drawn_poses(n, rng, most_deg=75.0):
@@ -139,7 +141,7 @@ class TestRotation:
         h, v = 1e-6, np.array([0.2, -0.7, 0.4])
         for j, step in enumerate(h * np.eye(3)):
             slope = (rotation(turn + step) - rotation(turn - step)) @ v / (2 * h)
-            about = lens_fit._left_jacobian(turn)[:, j]
+            about = left_jacobian(turn)[:, j]
             np.testing.assert_allclose(np.cross(about, rotation(turn) @ v), slope, atol=1e-9)
 
     def test_jacobian_of_the_bundle(self):

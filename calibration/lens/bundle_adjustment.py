@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gonio.calibration.lens.board_poses import Pose, View, place
 from gonio.calibration.lens.fisheye import Fisheye
+from gonio.calibration.lens.rotations import left_jacobian, rotation
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, angles
 
@@ -26,45 +27,6 @@ LEAST_SPREAD_DEG = 10.0  # between the boards' normals
 WORST_THETA_SD_DEG = 1.0  # within the corners; beyond it the photographs do not tell the lens
 _MOST_ROUNDS = 10
 _STARTS = np.geomspace(0.7, 1.4, 15)  # tried as factors of the focal length
-
-
-@dataclass(frozen=True)
-class View:
-    """Corners of one photograph.
-
-    Parameters
-    ----------
-    name : str
-        Of the photograph, for messages.
-    board : ndarray, shape (n, 3)
-        The corners in the frame of the board, mm, z = 0.
-    pixels : ndarray, shape (n, 2)
-        Column and row; whole numbers are pixels' centres.
-    """
-
-    name: str
-    board: FloatArray
-    pixels: FloatArray
-
-    def subset(self, keep: NDArray[np.bool_]) -> View:
-        """The view with some of its corners."""
-        return replace(self, board=self.board[keep], pixels=self.pixels[keep])
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Place of a board: X_camera = exp(turn) X_board + shift; `turn` a rotation vector, mm."""
-
-    turn: FloatArray
-    shift: FloatArray
-
-    def to_camera(self, board: FloatArray) -> FloatArray:
-        """Points (n, 3) of the board in the frame of the camera."""
-        return np.asarray(board @ rotation(self.turn).T + self.shift)
-
-    def normal(self) -> FloatArray:
-        """Unit vector across the board, away from its viewer."""
-        return rotation(self.turn)[:, 2]
 
 
 @dataclass(frozen=True)
@@ -302,33 +264,6 @@ def _first_guess(views: Sequence[View], start: Fisheye) -> tuple[Fisheye, list[P
     return best[1], best[2]
 
 
-def place(view: View, lens: Fisheye) -> Pose:
-    """Pose of a board before a known lens, from four corners or more.
-
-    The direct linear transformation of rays, for any angle from the axis:
-
-    w x (H (X, Y, 1)) = 0 with H = (r1, r2, t): a homography of directions, not of points on an
-    image plane, so that nothing is special at 90 deg.
-    """
-    w = lens.directions(view.pixels)
-    w = np.where(np.isfinite(w), w, [0.0, 0.0, -1.0])
-    middle, scale = view.board[:, :2].mean(axis=0), view.board[:, :2].std()
-    p = np.column_stack([(view.board[:, :2] - middle) / scale, np.ones(len(w))])
-    cross = np.zeros((len(w), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
-    cross -= np.swapaxes(cross, 1, 2)
-    rows = np.einsum("nij,nk->nijk", cross, p).reshape(-1, 9)
-    h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    if np.sum(np.einsum("ni,ij,nj->n", w, h, p)) < 0:
-        h = -h
-    size = (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])) / 2
-    h = h / size
-    u, _, vt = np.linalg.svd(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
-    turned = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    shift = h[:, 2] * scale - turned @ np.array([*middle, 0.0])
-    return Pose(rotation_vector(turned), shift)
-
-
 # ------------------------------------------------------------------ least squares
 
 
@@ -401,7 +336,7 @@ def _jacobian(
         x, y, z = turned.T
         cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
         cross -= np.swapaxes(cross, 1, 2)
-        by_turn = by_point @ cross @ _left_jacobian(pose.turn)
+        by_turn = by_point @ cross @ left_jacobian(pose.turn)
         out[block, :n] = -by_lens[..., :n].reshape(-1, n)
         column = n + 6 * k
         out[block, column : column + 3] = -by_turn.reshape(-1, 3)
@@ -433,46 +368,3 @@ def _robust_sd(residuals: Sequence[FloatArray]) -> float:
     # The median distance of a round normal distribution is sd sqrt(2 ln 2).
     distance = np.hypot(*np.vstack(residuals).T)
     return float(np.median(distance) / np.sqrt(2 * np.log(2)))
-
-
-# ------------------------------------------------------------------ rotations
-
-
-def rotation(turn: FloatArray) -> FloatArray:
-    """Rotation matrix of a rotation vector, radians (Rodrigues).
-
-    Examples
-    --------
-    >>> rotation(np.array([0.0, 0.0, np.pi / 2])).round(12).tolist()
-    [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    """
-    cross = _cross(turn)
-    angle = float(np.linalg.norm(turn))
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + _versine(angle) * cross @ cross)
-
-
-def rotation_vector(matrix: FloatArray) -> FloatArray:
-    """Rotation vector of a rotation matrix, of a length up to pi."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
-
-
-def _left_jacobian(turn: FloatArray) -> FloatArray:
-    """J with exp(turn + d) = exp(J d) exp(turn) to first order."""
-    angle = float(np.linalg.norm(turn))
-    cross = _cross(turn)
-    if angle < 1e-4:
-        third = 1 / 6 - angle**2 / 120
-    else:
-        third = (angle - np.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) + _versine(angle) * cross + third * cross @ cross)
-
-
-def _versine(angle: float) -> float:
-    """(1 - cos angle) / angle^2."""
-    return float(np.sinc(angle / (2 * np.pi)) ** 2 / 2)
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

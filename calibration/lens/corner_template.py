@@ -18,8 +18,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gonio.board import Board
-from gonio.calibration.lens.bundle_adjustment import Pose, rotation
+from gonio.calibration.lens.board_poses import Pose
 from gonio.calibration.lens.fisheye import Fisheye
+from gonio.calibration.lens.rotations import rotation
 from gonio.geometry import FloatArray
 
 BLUR_PX = 0.7  # of the template; a wrong one costs contrast and moves nothing

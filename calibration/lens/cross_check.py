@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.calibration.lens.bundle_adjustment import LEAST_CORNERS, LensFit, View
+from gonio.calibration.lens.board_poses import View
+from gonio.calibration.lens.bundle_adjustment import LEAST_CORNERS, LensFit
 from gonio.geometry import FloatArray, angles, unit_vectors
 
 LIMITS_DEG = (60.0, 75.0, 85.0)

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from gonio.board import Board
 from gonio.calibration.lens import boards
+from gonio.calibration.lens.board_poses import View, place
 from gonio.calibration.lens.boards import Corners
-from gonio.calibration.lens.bundle_adjustment import FIGURES, LensFit, View, fit_lens, place
+from gonio.calibration.lens.bundle_adjustment import FIGURES, LensFit, fit_lens
 from gonio.calibration.lens.corner_template import Ink, refine
 from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.image_circle import ImageCircle, fit_image_circle

@@ -48,7 +48,10 @@ def cells_of_session(
     n_images = len(tasks) * len(plan.rotations_deg)
     images: list[ImageCells] = []
     with ThreadPoolExecutor(threads or default_threads()) as pool:
-        for done in pool.map(lambda task: list(_cells_of_incidence(*task, table, retro)), tasks):
+        work = pool.map(
+            lambda task: list(_cells_of_incidence(task[0], task[1], table, retro)), tasks
+        )
+        for done in work:
             images.extend(done)
             if progress is not None:
                 progress(sum(not image.entry for image in images), n_images)

@@ -303,34 +303,21 @@ def _finding(found: Any) -> str:
 def _session_rows(session: Session | None) -> Iterable[tuple[str, Any]]:
     if session is None:
         return []
+    from gonio.calibration.effects import all_effects
+
     m, plan = session.metadata, session.metadata.plan
     g = m.geometry
-    lamp, limits = m.lamp, m.limits
     return [
         ("geometry", f"{g.shape}, R = {g.R:g} mm, D = {g.D:g} mm"),
-        ("uncertainty of the geometry", None if g.uncertain is None else "stated"),
         ("lens", f"{m.lens.projection}, f = {m.lens.focal_length_mm:.4g} mm"),
-        ("uncertainty of the lens", None if m.lens.uncertain is None else "stated"),
         ("frames", f"{m.camera.columns} × {m.camera.rows} pixels, {session.n_done} of "
                    f"{plan.n_frames} there"),
         ("incidences", _degrees(plan.theta_i_deg)),
         ("turns of the sample", _degrees(plan.rotations_deg)),
         ("exposures", ", ".join(f"{1e3 * t:.4g}" for t in plan.exposures_s) + " ms"),
-        ("white standard", f"reflectance {m.standard.reflectance:g}, relative standard uncertainty "
-                           f"{m.standard.uncertainty:g}"),
-        ("half-angle of the lamp", _with(lamp.half_angle_deg, "°")),
-        ("its standard uncertainty", _with(lamp.u_half_angle_deg, "°")),
-        ("drift of the lamp, image to image", _with(lamp.drift, "")),
-        ("slope error of the dome", _with(limits.slope_error_deg, "°")),
-        ("multi-bounce g", _with(limits.multibounce, "")),
-        ("its standard uncertainty", _with(limits.u_multibounce, "")),
-        ("room light", _with(limits.ambient, "")),
-        ("uncertainty of the sample's azimuth", _with(limits.u_azimuth_deg, "°")),
+        ("reflectance of the white standard", f"{m.standard.reflectance:g}"),
+        *((figure.words, figure.text(m)) for effect in all_effects() for figure in effect.figures),
     ]  # fmt: skip
-
-
-def _with(value: float | None, unit: str) -> str | None:
-    return None if value is None else f"{value:g}{unit}"
 
 
 def _degrees(angles: tuple[float, ...]) -> str:

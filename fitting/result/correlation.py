@@ -37,9 +37,10 @@ def correlation(record: FitRecord) -> Correlation | None:
     A shared error, such as that of the standard, moves several parameters together: by the total
     covariance they may be correlated where their independent errors are not.
     """
-    names = tuple(record.parameters)
     if record.covariance is not None:
-        c = np.asarray(record.covariance)
+        free = [k for k, e in enumerate(record.parameters.values()) if not e.fixed]
+        names = tuple(list(record.parameters)[k] for k in free)
+        c = np.asarray(record.covariance)[np.ix_(free, free)]
         sd = np.sqrt(np.diag(c))
         with np.errstate(divide="ignore", invalid="ignore"):
             r = np.clip(c / np.outer(sd, sd), -1, 1)

@@ -149,7 +149,7 @@ class FitResult(FitRecord):
 
         Returns
         -------
-        arviz.InferenceData, or xarray.DataTree from arviz 1 on
+        arviz.InferenceData, or xarray.DataTree from arviz 1 on and where arviz is not installed
 
         Raises
         ------

@@ -93,6 +93,10 @@ def short(record: FitRecord) -> str:
 
 def _value(estimate: Estimate) -> str:
     unit = f" {estimate.unit}" if estimate.unit else ""
+    if estimate.fixed:
+        return f"{estimate.value:.4g}{unit} (fixed)"
+    if estimate.tied_to:
+        return f"{estimate.value:.4g}{unit} (tied to {estimate.tied_to})"
     if estimate.at_bound is not None:
         return f"{estimate.value:.4g}{unit} at its {estimate.at_bound} bound"
     if estimate.stderr is None:

@@ -21,7 +21,7 @@ from gonio.kernels import (
     pair_block,
     single_loops_for,
 )
-from gonio.models import sampling
+from gonio.models import sampling, text
 from gonio.models.claims import Claims
 from gonio.models.pairs import check_out, components
 from gonio.models.parameter import Parameter
@@ -293,6 +293,15 @@ class Model:
             return (0.0,) * (1 + len(self.parameters))
         arguments = [float(v) for v in (*w_i, *w_r, *p)]
         return self.kernel(*arguments)
+
+    def __repr__(self) -> str:
+        return f"<Model {self.name}({', '.join(self.names)}): {self.title}>"
+
+    def __str__(self) -> str:
+        return text.page(self.describe(), [p.unit for p in self.parameters])
+
+    def _repr_html_(self) -> str:
+        return text.html(self.describe(), [p.unit for p in self.parameters])
 
     def describe(self) -> dict[str, Any]:
         """The model as plain data, for --json and documentation."""

@@ -15,7 +15,8 @@ MOST_NAMES = 6
 def facts(samples: SampleRecord) -> list[tuple[str, str]]:
     """What the samples are, by name, in the order in which a person asks."""
     n = len(samples)
-    found = [(samples.quantity, f"{n} values{_range(samples.value, ' sr^-1')}")]
+    found: list[tuple[str, str]] = []
+    found.append((str(samples.quantity), f"{n} values{_range(samples.value, ' sr^-1')}"))
     for name in ("theta_i", "theta_r"):
         angle = np.degrees(np.broadcast_to(getattr(samples.directions, name), (n,)))
         found.append((name, _range(angle, " deg").removeprefix(", ") or "none"))

@@ -35,7 +35,7 @@ from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
 from gonio.fitting.uncertainty.reported import all_covariances, all_estimates
 from gonio.fitting.warnings import condensed, warnings_of
-from gonio.models import Model
+from gonio.models import Model, source_of
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
 
@@ -146,7 +146,7 @@ def fit(
     >>> round(fit(samples, model="lambert").parameters["rho"].value, 6)
     0.314159
     """
-    chosen = get_model(model) if isinstance(model, str) else model
+    chosen = get_model(model)
     held = Constraints.of(chosen, fixed, tied)
     held.refuse(start, "starting value")
     held.refuse(priors, "prior")
@@ -190,8 +190,11 @@ def fit(
                 "intervals are provisional."
             )
         warnings += chain.warnings
+    if chosen.note:
+        warnings.append(chosen.note)
     return FitResult(
         model=chosen.name,
+        model_source=source_of(chosen),
         status=found.status,
         parameters=all_estimates(problem.reported, estimates),
         covariance=None

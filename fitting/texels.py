@@ -131,7 +131,7 @@ def fit_texels(
     >>> fit_texels(seen, stack, "ward_isotropic").parameters.round(6).tolist()
     [[0.2, 0.05, 0.15], [0.2, 0.1, 0.15]]
     """
-    chosen = get_model(model) if isinstance(model, str) else model
+    chosen = get_model(model)
     stack = _Stack.checked(directions, values, u, mask)
     parameters = chosen.parameters
     if stack.shape[1] <= len(parameters):

@@ -42,7 +42,7 @@ def simulate(
     material: str | None = None,
     *,
     output: str | Path,
-    model: str | None = None,
+    model: str | Model | None = None,
     parameters: Mapping[str, Values] | None = None,
     instrument: str | Instrument = "modern12",
     plan: Plan | str | Path | None = None,
@@ -60,9 +60,9 @@ def simulate(
     output : path
         Folder of the session. Where the same call was interrupted it continues: frames that were
         acknowledged are kept, and the result is bit-identical to an uninterrupted run.
-    model, parameters : str, mapping, optional
-        A model by name and its parameters (radians for angles), one value or one for each channel
-        of the instrument.
+    model, parameters : str or Model, mapping, optional
+        A model, or its name, and its parameters (radians for angles), one value or one for each
+        channel of the instrument.
     instrument : str or Instrument
         A preset, a TOML file, or an instrument.
     plan : Plan or path, optional
@@ -160,7 +160,7 @@ def _recipe(rig: Instrument, surface: Surface, plan: Plan, seed: int) -> dict[st
     }
 
 
-def _mirror(rig: Instrument, material: str | None, model: str | None) -> Surface:
+def _mirror(rig: Instrument, material: str | None, model: str | Model | None) -> Surface:
     from gonio.instrument.images import Surface
 
     if material is not None or model is not None:
@@ -174,7 +174,7 @@ def _mirror(rig: Instrument, material: str | None, model: str | None) -> Surface
 def _surface(
     rig: Instrument,
     material: str | None,
-    model: str | None,
+    model: str | Model | None,
     parameters: Mapping[str, Values] | None,
 ) -> Surface:
     from gonio.instrument.images import Surface

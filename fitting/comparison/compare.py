@@ -146,7 +146,7 @@ def compare(
 
 def _checked(models: Sequence[str | Model]) -> list[Model]:
     given = [models] if isinstance(models, str) else list(models)
-    chosen = [get_model(m) if isinstance(m, str) else m for m in given]
+    chosen = [get_model(m) for m in given]
     names = [m.name for m in chosen]
     for name in names:
         if names.count(name) > 1:

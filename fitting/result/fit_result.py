@@ -16,8 +16,7 @@ from gonio.fitting.result.memory import Memory, forgotten
 from gonio.fitting.result.prediction import Prediction, predict
 from gonio.fitting.result.record import FitRecord
 from gonio.geometry import Directions, FloatArray
-from gonio.models import Model
-from gonio.models import get as get_model
+from gonio.models import Model, of_fit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -207,7 +206,7 @@ class FitResult(FitRecord):
         return document.load(Path(path), cls)
 
     def _model(self) -> Model:
-        return self.memory.model if self.memory is not None else get_model(self.model)
+        return self.memory.model if self.memory is not None else of_fit(self)
 
     def _title(self) -> str:
         try:

@@ -57,6 +57,8 @@ class FitRecord:
     loss : str
         What was made small (`gonio.fitting.problem.losses`); for another one than chi2 its value
         stands as `chi2`, and uncertainties come from the scatter of the residuals.
+    model_source : mapping or None
+        File and sha256 of a model from outside the package (`gonio.models.source_of`).
     """
 
     model: str
@@ -81,6 +83,7 @@ class FitRecord:
     nuisance: tuple[NuisanceEstimate, ...] = ()
     engine: str = "gauss_newton"
     loss: str = "chi2"
+    model_source: Mapping[str, Any] | None = None
 
     @property
     def ok(self) -> bool:

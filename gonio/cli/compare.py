@@ -74,10 +74,10 @@ def command(
     """
     from gonio.cli.options import check_target, refuse_both
     from gonio.cli.progress import progress
-    from gonio.models import get
+    from gonio.models import resolve
 
     refuse_both(as_json, as_csv, as_latex)
-    models = [get(name) for name in _names(model_names)]
+    models = [resolve(name) for name in _names(model_names)]
     fixed, tied = _fixed(models, fixes), read_tied(ties)
     if output is not None:
         check_target(output)

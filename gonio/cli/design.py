@@ -27,7 +27,7 @@ SMALLEST = 3  # images, as `gonio.planning.plan_search` has it, which is slow to
     "--model",
     required=True,
     shell_complete=complete_model,
-    help="Model of the surface; see 'gonio models'.",
+    help="Model of the surface: a name of 'gonio models', FILE.py or FILE.py:NAME.",
 )
 @click.option(
     "-p",
@@ -139,7 +139,7 @@ def _surface(name: str, items: tuple[str, ...]) -> tuple[Model, dict[str, float]
     import gonio.models as models
     from gonio.cli.options import file_text, parse_parameters
 
-    model = models.get(name)
+    model = models.resolve(name)
     given = parse_parameters(model, items)
     left_out = [p for p in model.parameters if p.name not in given]
     if left_out:

@@ -50,6 +50,8 @@ def command(
 ) -> None:
     """Evaluate a model: BRDF in sr^-1, cosine not included.
 
+    MODEL is a name of 'gonio models', FILE.py or FILE.py:NAME.
+
     The output is a CSV of the four angles and the column brdf, with 17 significant digits. With
     --material, -p replaces single parameters of the material.
     """
@@ -80,7 +82,7 @@ def _model_and_parameters(
         named = materials.get(material)
         chosen = models.get(named.model)
         return chosen, {**named.parameters, **parse_parameters(chosen, items)}
-    chosen = models.get(str(model))
+    chosen = models.resolve(str(model))
     parameters = parse_parameters(chosen, items)
     left_out = [p for p in chosen.parameters if p.name not in parameters]
     if left_out:

@@ -36,7 +36,7 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
     required=True,
     metavar="MODEL",
     shell_complete=complete_model,
-    help="Model to fit.",
+    help="Model to fit: a name of 'gonio models', FILE.py or FILE.py:NAME.",
 )
 @sample_options
 @click.option(
@@ -128,9 +128,9 @@ def command(
     from gonio.cli import joint
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
-    from gonio.models import get
+    from gonio.models import resolve
 
-    model = get(model_name)
+    model = resolve(model_name)
     start = _starts(model, starts) if starts else None
     fixed, tied = read_fixed(model, fixes), read_tied(ties)
     believed = read_priors(priors, model, posterior=posterior)

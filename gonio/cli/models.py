@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 def command(name: str | None, as_json: bool) -> None:
     """List the reflectance models, or show one.
 
-    With NAME the parameters (angles in degrees) and the formula of that model are shown.
+    With NAME the parameters (angles in degrees) and the formula of that model are shown; NAME may
+    be FILE.py or FILE.py:NAME. Models of installed packages stand with the package's name.
     """
     import gonio.models as models
     from gonio.cli.options import echo_json
 
-    chosen = [models.get(each) for each in ([name] if name else models.names())]
+    chosen = [models.resolve(each) for each in ([name] if name else models.names())]
     if as_json:
-        documents = [model.describe() for model in chosen]
+        documents = [{**model.describe(), "origin": models.origin(model.name)} for model in chosen]
         echo_json(documents[0] if name else documents)
     elif name:
         _show_one(chosen[0])
@@ -35,20 +36,28 @@ def command(name: str | None, as_json: bool) -> None:
 
 def _show_all(chosen: list[Model]) -> None:
     """Two lines a model: name and parameters, title and reference."""
+    import gonio.models as models
+
     width = max(len(model.name) for model in chosen)
     for model in chosen:
+        origin = models.origin(model.name)
         click.echo(f"{model.name:<{width}}  {', '.join(model.names)}")
-        click.echo(f"    {model.title}; {model.reference}")
+        about = "; ".join(text for text in (model.title, model.reference) if text)
+        click.echo(f"    {about}" + (f" (from {origin})" if origin != "gonio" else ""))
 
 
 def _show_one(model: Model) -> None:
     from rich.table import Table
 
+    import gonio.models as models
     from gonio.cli.options import file_range, file_text, table_console
 
     console = table_console()
     console.print(f"{model.name}: {model.title}")
-    console.print(f"reference: {model.reference}")
+    if model.reference:
+        console.print(f"reference: {model.reference}")
+    if (origin := models.origin(model.name)) != "gonio":
+        console.print(f"from: {origin}")
     if model.validity:
         console.print(f"validity: {model.validity}")
     table = Table("parameter", "symbol", "unit", "allowed", "default", "meaning")

@@ -21,6 +21,22 @@ if TYPE_CHECKING:
 _PIPE_WIDTH = 200
 
 
+# For commands that read a FIT.json.
+model_of_fit = click.option(
+    "--model",
+    metavar="FILE.py",
+    help="The file of the model that the fit was made with, where it is not part of gonio.",
+)
+
+
+def given(model: str | None) -> None:
+    """Make the model that `--model` names known, so that a fit's name leads to it."""
+    if model is not None:
+        from gonio.models import resolve
+
+        resolve(model)
+
+
 def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
     """Parameters of a model from texts such as ``sigma=30``.
 

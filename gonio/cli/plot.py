@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
+from gonio.cli.options import given, model_of_fit
 from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.verbs.plot import KINDS, SIGNS, plot
 
@@ -59,6 +60,7 @@ SMALLEST_PAGE = 0.85  # of the size that the page is made for
     metavar="KEY=VALUE",
     help="Part of a file or of a joint fit: wavelength=650, channel=NAME or part=NAME.",
 )
+@model_of_fit
 def command(
     source: str,
     kind: str | None,
@@ -67,16 +69,18 @@ def command(
     size: str | None,
     dpi: float | None,
     selections: tuple[str, ...],
+    model: str | None,
 ) -> None:
     """Draw a model, BRDF samples or a fit.
 
     INPUT is a FIT.json that 'gonio fit' wrote, a samples file, any BRDF file that gonio reads,
-    a session, or model:NAME or material:NAME. Without --kind it is drawn on one page, a model as
-    its lobe. With a fit come the samples it was made to, its posterior and, where the session is
-    still there, raw frames: the files are looked for by the names they had, from the current
-    folder and from the folder of INPUT.
+    a session, or model:NAME, model:FILE.py or material:NAME. Without --kind it is drawn on one
+    page, a model as its lobe. With a fit come the samples it was made to, its posterior and, where
+    the session is still there, raw frames: the files are looked for by the names they had, from the
+    current folder and from the folder of INPUT.
     """
     named = source.startswith(SIGNS)
+    given(model)
     if output is None:
         name = source.partition(":")[2] if named else source
         output = Path(f"{name}.png") if named else Path(source).with_suffix(".png")
@@ -143,7 +147,7 @@ def _parameters(source: str, items: tuple[str, ...]) -> dict[str, float]:
     from gonio.cli.options import parse_parameters
 
     sign, _, name = source.partition(":")
-    model = models.get(materials.get(name).model if sign == "material" else name)
+    model = models.resolve(materials.get(name).model if sign == "material" else name)
     return parse_parameters(model, items)
 
 

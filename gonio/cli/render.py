@@ -22,7 +22,9 @@ EDGE = 256  # pixels of the longer edge where no size is given
 @click.command(name="render")
 @click.argument("scene_name", metavar="SCENE")
 @click.option(
-    "--model", shell_complete=complete_model, help="The reflectance model; see 'gonio models'."
+    "--model",
+    shell_complete=complete_model,
+    help="A name of 'gonio models', FILE.py or FILE.py:NAME.",
 )
 @click.option(
     "--material",
@@ -310,7 +312,7 @@ def _surface(
     if material is not None:
         named = materials.get(material)
         model, known = named.model, dict(named.parameters)
-    chosen = models.get(str(model))
+    chosen = models.resolve(str(model))
     known |= parse_parameters(chosen, items)
     left_out = [p for p in chosen.parameters if p.name not in known]
     if left_out:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import rich_click as click
 
 from gonio.cli.inputs import require_fit
+from gonio.cli.options import given, model_of_fit
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Print the table of parameters as LaTeX; no page without -o.",
 )
+@model_of_fit
 def command(
     source: Path,
     output: Path | None,
@@ -84,6 +86,7 @@ def command(
     dof: float | None,
     as_csv: bool,
     as_latex: bool,
+    model: str | None,
 ) -> None:
     """Write a fit as one HTML page that opens without a network and prints.
 
@@ -97,6 +100,7 @@ def command(
 
     refuse_both(as_csv, as_latex)
     only_table = (as_csv or as_latex) and output is None
+    given(model)
     output = source.with_suffix(".html") if output is None else output
     if output.suffix.lower() not in (".html", ".htm"):
         raise ConfigurationError(

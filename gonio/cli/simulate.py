@@ -25,7 +25,7 @@ MAX_WEDGE_DEG = 45.0
 @click.option(
     "--model",
     shell_complete=complete_model,
-    help="A model instead of MATERIAL; see 'gonio models'.",
+    help="A model instead of MATERIAL: a name of 'gonio models', FILE.py or FILE.py:NAME.",
 )
 @click.option(
     "-p",
@@ -160,7 +160,7 @@ def command(
             session = simulate(
                 material,
                 output=output,
-                model=model,
+                model=chosen if model else None,
                 parameters=parameters if model else None,
                 instrument=rig,
                 plan=plan,
@@ -240,7 +240,7 @@ def _surface(
                 value=items,
             )
         return models.get(named.model), dict(named.parameters)
-    chosen = models.get(str(model))
+    chosen = models.resolve(str(model))
     parameters = _values(chosen, items)
     left_out = [p for p in chosen.parameters if p.name not in parameters]
     if left_out:

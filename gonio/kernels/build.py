@@ -24,6 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
+from gonio.kernels.arrays import ArrayKernel, loops_of, moment_loops_of, texel_loops_of
 from gonio.kernels.generated import generated_module
 from gonio.kernels.kept import kept_around
 from gonio.kernels.loops import Loops, loops_around
@@ -114,7 +115,8 @@ def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     ----------
     kernel : callable
         A function of plain scalar Python and `math` that returns the tuple
-        (f, df/dp_1, ..., df/dp_n). Functions that it calls are compiled with it.
+        (f, df/dp_1, ..., df/dp_n). Functions that it calls are compiled with it. An `ArrayKernel`
+        is not compiled; its loops are numpy's.
     n_parameters : int
         Number of parameters behind the six direction cosines.
 
@@ -123,6 +125,8 @@ def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     Loops
         Compiled at their first call, or read from the cache on disk.
     """
+    if isinstance(kernel, ArrayKernel):
+        return loops_of(kernel)
     return _made(Loops, kernel, "", *_double(kernel, n_parameters))
 
 
@@ -131,6 +135,8 @@ def moment_loops_for(
     kernel: Callable[..., Any], n_parameters: int, linear: tuple[int, ...]
 ) -> MomentLoops:
     """Loops that sum up chi-squared as a function of the parameters with the numbers `linear`."""
+    if isinstance(kernel, ArrayKernel):
+        return moment_loops_of(kernel, linear)
     stores = [
         f"    gradient[{k}, k] = both[{j + 1}] if above else 0.0" for k, j in enumerate(linear)
     ]
@@ -143,6 +149,8 @@ def moment_loops_for(
 @cache
 def texel_loops_for(kernel: Callable[..., Any], n_parameters: int) -> TexelLoops:
     """Loops that fit one small data set after another."""
+    if isinstance(kernel, ArrayKernel):
+        return texel_loops_of(kernel, small_fits(n_parameters))
     header = _header(kernel, n_parameters, _all_derivatives(n_parameters))
     header += _SMALL_FITS.format(n_parameters=n_parameters)
     # The values, the part without amplitudes, and as many amplitudes as models have.
@@ -167,6 +175,8 @@ def single_loops_for(kernel: Callable[..., Any], n_parameters: int) -> SingleLoo
     A kernel that single precision would ruin (`gonio.kernels.single.DOUBLE`), or whose source
     cannot be read, is computed in double by these loops, and rounded.
     """
+    if isinstance(kernel, ArrayKernel):
+        return SingleLoops(loops_of(kernel).evaluate, loops_of(kernel).evaluate_gradient)
     if any(must_be_double(f) or definition(f) is None for f in reached(kernel)):
         return _made(SingleLoops, kernel, "", *_double(kernel, n_parameters))
     stores = _all_derivatives(n_parameters, "_float32(0.0)")

@@ -1,7 +1,9 @@
 """Reflectance models: one file is one model, found by looking into this folder.
 
 A file that defines `MODEL = Model(...)` is a model; nothing else has to be told of it. Names joined
-by "+" are a model too, the sum of theirs.
+by "+" are a model too, the sum of theirs. Models from outside the package come as objects, from a
+file that the user names (`load`), or from an installed package that announces them
+(`gonio.models.external`).
 """
 
 from __future__ import annotations
@@ -9,13 +11,34 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from functools import cache
+from typing import Any
 
-from gonio.errors import unknown_name
+from gonio.errors import ConfigurationError, unknown_name
+from gonio.models import external
 from gonio.models._sums import SIGN, added, term_names
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.sampling import Cosine, Draws, Lobe
+from gonio.models.source import Fitted, check_source, source_of, unknown_source
 
-__all__ = ["Claims", "Cosine", "Draws", "Lobe", "Model", "Parameter", "get", "names"]
+__all__ = [
+    "Claims",
+    "Cosine",
+    "Draws",
+    "Lobe",
+    "Model",
+    "Parameter",
+    "get",
+    "load",
+    "names",
+    "of_fit",
+    "origin",
+    "resolve",
+    "source_of",
+]
+
+# Models from outside that were used in this process, so that a result's name leads to them.
+_used: dict[str, Model] = {}
+_sums: dict[tuple[tuple[str, Any], ...], Model] = {}
 
 
 @cache
@@ -29,25 +52,58 @@ def _all() -> dict[str, Model]:
     return dict(sorted(found.items()))
 
 
+@cache
+def _installed() -> dict[str, Model]:
+    """Models that installed packages announce, under names that gonio does not use itself."""
+    found = {}
+    for name, entry in external.announced().items():
+        if name in _all():
+            external.log.warning(
+                "the package %s announces a model named %r, which is a model of gonio; it is left "
+                "out.", external.package(entry), name,
+            )  # fmt: skip
+        elif (model := external.installed(name)) is not None:
+            found[name] = model
+    return found
+
+
 def names() -> list[str]:
-    """Names of the single models, sorted; any of them may be joined by "+".
+    """Names of the single models, sorted, with those of installed packages; any may be joined by
+    "+".
 
     Examples
     --------
     >>> "ward" in names()
     True
     """
-    return list(_all())
+    return sorted({*_all(), *_installed()})
 
 
-def get(name: str) -> Model:
+def origin(name: str) -> str:
+    """Where the model with this name comes from: "gonio", a package with its version, or a file.
+
+    Examples
+    --------
+    >>> origin("ward")
+    'gonio'
+    """
+    if name in _all():
+        return "gonio"
+    if name in _used:
+        return str((source_of(_used[name]) or {}).get("file") or "this session")
+    entry = external.announced().get(name)
+    return external.package(entry) if entry is not None else "gonio"
+
+
+def get(name: str | Model) -> Model:
     """The model with this name.
 
     Parameters
     ----------
-    name : str
+    name : str or Model
         One of `names()`, or several joined by "+" for their sum. A parameter's name that occurs
-        in several terms then ends in the number of its term: rho_s_1, rho_s_2.
+        in several terms then ends in the number of its term: rho_s_1, rho_s_2. A `Model` is given
+        back, and from then on found by its name unless gonio has a model of that name itself.
 
     Raises
     ------
@@ -63,15 +119,97 @@ def get(name: str) -> Model:
     >>> get("lambert+ward_duer").names
     ('rho', 'rho_d', 'rho_s', 'alpha_x', 'alpha_y')
     """
+    if isinstance(name, Model):
+        for term in name.terms:
+            get(term)
+        if not name.terms and name.name not in _all():
+            _used[name.name] = name
+        return name
+    if name in _used:
+        return _used[name]
     if SIGN in name:
-        return _sum(*term_names(name))
-    try:
+        return _sum(tuple(get(term) for term in term_names(name)))
+    if name in _all():
         return _all()[name]
-    except KeyError:
-        raise unknown_name("model", name, _all()) from None
+    if name in external.announced() and name in _installed():
+        return _installed()[name]
+    raise unknown_name("model", name, [*names(), *_used])
 
 
-@cache
-def _sum(*terms: str) -> Model:
-    """Made once, so that its loops are compiled once."""
-    return added([get(term) for term in terms])
+def load(file: str) -> Model:
+    """The model that a file of Python defines; the file is run.
+
+    Parameters
+    ----------
+    file : str
+        `path/to/file.py`, which defines `MODEL`, or `path/to/file.py:NAME`.
+
+    Returns
+    -------
+    Model
+        Found by `get` under its name from then on.
+
+    Raises
+    ------
+    DataError
+        If there is no such file.
+    ConfigurationError
+        If the file cannot be run or does not define a `Model`, or its name is one of gonio's.
+    """
+    model = external.from_file(str(file))
+    if model.name in _all():
+        raise ConfigurationError(
+            f"{file}: its model is named {model.name!r}, which is a model of gonio; give it "
+            "another name.",
+            value=model.name,
+        )
+    return get(model)
+
+
+def resolve(text: str) -> Model:
+    """The model that `--model` means: a name, a file, or several of them joined by "+".
+
+    Parameters
+    ----------
+    text : str
+        As `get` takes it, or `path/to/file.py`, or `file.py:NAME`.
+
+    Raises
+    ------
+    DataError, ConfigurationError
+        As `get` and `load`.
+    """
+    if external.is_file(text) and SIGN not in text:
+        return load(text)
+    terms = term_names(text) if SIGN in text else [text]
+    return get(SIGN.join(load(t).name if external.is_file(t) else t for t in terms))
+
+
+def of_fit(fit: Fitted) -> Model:
+    """The model that a fit was made with.
+
+    Parameters
+    ----------
+    fit : FitResult
+        Names its model, and keeps the hash of its source where that is not part of gonio.
+
+    Raises
+    ------
+    ConfigurationError
+        If the model comes from outside and was not given, or is another one now.
+    """
+    try:
+        model = get(fit.model)
+    except ConfigurationError:
+        if fit.model_source is None:
+            raise
+        raise unknown_source(fit) from None
+    return check_source(model, fit)
+
+
+def _sum(terms: tuple[Model, ...]) -> Model:
+    """Made once for the same kernels, so that its loops are compiled once."""
+    key = tuple((term.name, term.kernel) for term in terms)
+    if key not in _sums:
+        _sums[key] = added(terms)
+    return _sums[key]

@@ -6,15 +6,20 @@ machine code only for functions that live in one.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray
+from gonio.kernels.arrays import ArrayKernel
 from gonio.kernels.generated import generated_module
+from gonio.kernels.sources import ingredients, reached
 from gonio.models.base import Claims, Model, Parameter
 from gonio.models.sampling import Lobe, Named
 
@@ -27,7 +32,7 @@ f = {formula}
 
 Each term has the formula and the parameters of its model.
 """
-{imports}
+# Handed in by gonio.models: {terms}.
 
 
 def kernel({directions}, {parameters}):
@@ -85,7 +90,7 @@ def added(terms: Sequence[Model]) -> Model:
         title=" + ".join(term.title for term in terms),
         reference="; ".join(dict.fromkeys(term.reference for term in terms)),
         parameters=tuple(q for group in parameters for q in group),
-        kernel=generated_module("sum", _text(terms, names)).kernel,
+        kernel=_kernel(terms, names),
         claims=Claims(
             reciprocal=all(c.reciprocal for c in claims),
             non_negative=all(c.non_negative for c in claims),
@@ -100,7 +105,37 @@ def added(terms: Sequence[Model]) -> Model:
             for lobe in term.lobes
         ),
         costly=any(term.costly for term in terms),
+        terms=tuple(terms),
     )
+
+
+def _kernel(terms: Sequence[Model], names: Sequence[Sequence[str]]) -> Callable[..., Any]:
+    """The kernel of a sum: compiled where those of all terms are, else of whole arrays."""
+    if any(isinstance(term.kernel, ArrayKernel) for term in terms):
+        return _of_arrays(terms)
+    bound = {f"term_{k}": term.kernel for k, term in enumerate(terms, 1)}
+    read, kept = ingredients([f for term in terms for f in reached(term.kernel)])
+    module = generated_module("sum", _text(terms, names), read, bound=bound, kept=kept)
+    kernel: Callable[..., Any] = module.kernel
+    return kernel
+
+
+def _of_arrays(terms: Sequence[Model]) -> ArrayKernel:
+    """The sum of terms of which one is a function of arrays."""
+    ends = np.cumsum([0, *(len(term.parameters) for term in terms)])
+    own = [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+    def values(w_i: FloatArray, w_r: FloatArray, p: FloatArray) -> FloatArray:
+        parts = [t.evaluate(w_i, w_r, p[s], threads=1) for t, s in zip(terms, own, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
+
+    def gradient(w_i: FloatArray, w_r: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = [t.gradient(w_i, w_r, p[s], threads=1) for t, s in zip(terms, own, strict=True)]
+        f = np.sum([each for each, _ in parts], axis=0)
+        return f, np.concatenate([jac for _, jac in parts], axis=1)
+
+    note = " ".join(dict.fromkeys(term.note for term in terms if term.note))
+    return ArrayKernel(values, values, gradient, int(ends[-1]), note)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,10 +220,7 @@ def _text(terms: Sequence[Model], names: Sequence[Sequence[str]]) -> str:
     return _TEXT.format(
         n=len(terms),
         formula=" + ".join(f"{term.name}({', '.join(own)})" for _, (term, own) in numbered),
-        imports="\n".join(
-            f"from {term.kernel.__module__} import {term.kernel.__name__} as term_{k}"
-            for k, (term, _) in numbered
-        ),
+        terms=", ".join(f"term_{k} of {term.name}" for k, (term, _) in numbered),
         directions=_DIRECTIONS,
         parameters=", ".join(name for own in names for name in own),
         calls="\n".join(

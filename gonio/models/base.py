@@ -21,8 +21,10 @@ from gonio.kernels import (
     pair_block,
     single_loops_for,
 )
+from gonio.kernels.arrays import ArrayKernel
 from gonio.models import sampling, text
 from gonio.models.claims import Claims
+from gonio.models.function import Given, array_kernel, declared
 from gonio.models.pairs import check_out, components
 from gonio.models.parameter import Parameter
 from gonio.models.sampling import Cosine, Draws, Lobe
@@ -55,6 +57,8 @@ class Model:
     costly : bool
         True where f takes a hundred times longer than a closed formula, so that a check looks at
         fewer directions.
+    terms : tuple of Model
+        Those of which this one is the sum, else empty.
     """
 
     name: str
@@ -66,6 +70,69 @@ class Model:
     validity: str = ""
     lobes: tuple[Lobe, ...] = (Cosine(),)
     costly: bool = False
+    terms: tuple[Model, ...] = ()
+
+    @classmethod
+    def from_function(
+        cls,
+        function: Callable[..., Any],
+        parameters: Given = None,
+        *,
+        name: str | None = None,
+        **about: Any,
+    ) -> Model:
+        """A model from a plain function of numpy arrays, without derivatives.
+
+        Parameters
+        ----------
+        function : callable
+            `function(directions, **parameters)` returns f in sr^-1, cosine not included.
+            `directions` is a `gonio.geometry.Directions` of n pairs above the horizon: theta_i,
+            phi_i, theta_r and phi_r are arrays (n,) in radians, `directions.vectors()` the unit
+            vectors (n, 3). The result has n values, or is one number.
+        parameters : sequence or mapping, optional
+            Records of `Parameter`; or a mapping of name to (default, lower, upper); or names, whose
+            range is then 0 to 1 and whose default is that of the function's signature, else 0.5.
+            The names of the signature where not given.
+        name : str, optional
+            Name of the model; that of the function where not given.
+        **about
+            Other fields of `Model`: title, reference, claims, validity, lobes. Nothing but a value
+            that is not negative is claimed where `claims` is not given.
+
+        Returns
+        -------
+        Model
+            Slower than one with a scalar kernel: it is not compiled, and derivatives are found by a
+            complex step where `function` carries complex parameters through, else by differences.
+            A fit says which in its warnings.
+
+        Raises
+        ------
+        ConfigurationError
+            If the function fails at the default parameters, returns another number of values or
+            none that are real and finite, or a parameter is declared wrongly.
+
+        Examples
+        --------
+        >>> def minnaert(directions, rho, k):
+        ...     cosines = np.cos(directions.theta_i) * np.cos(directions.theta_r)
+        ...     return rho / np.pi * cosines ** (k - 1)
+        >>> model = Model.from_function(minnaert, {"rho": (0.5, 0, 1), "k": (1, 0, 2)})
+        >>> round(float(model(Directions(0.0, 0.0, 0.5, 0.0), rho=0.3, k=1.0)), 6)
+        0.095493
+        """
+        chosen = str(name or getattr(function, "__name__", "function"))
+        records = declared(function, parameters)
+        return cls(
+            name=chosen,
+            parameters=records,
+            kernel=array_kernel(function, records, chosen),
+            title=about.pop("title", chosen),
+            reference=about.pop("reference", ""),
+            claims=about.pop("claims", Claims(reciprocal=False)),
+            **about,
+        )
 
     def __call__(self, directions: Directions, **parameters: float) -> FloatArray:
         """BRDF in sr^-1, cosine not included.
@@ -303,6 +370,27 @@ class Model:
     def _repr_html_(self) -> str:
         return text.html(self.describe(), [p.unit for p in self.parameters])
 
+    @property
+    def functions(self) -> list[Callable[..., Any]]:
+        """The functions that someone wrote for this model: one, or those of the terms of a sum."""
+        if self.terms:
+            return [function for term in self.terms for function in term.functions]
+        return [self.kernel.function if isinstance(self.kernel, ArrayKernel) else self.kernel]
+
+    @property
+    def note(self) -> str:
+        """What a fit should say of how the model is computed; mostly nothing."""
+        return self.kernel.note if isinstance(self.kernel, ArrayKernel) else ""
+
+    @property
+    def documentation(self) -> str | None:
+        """Docstring of the file with the kernel, else of the function."""
+        function = self.functions[0]
+        module = inspect.getmodule(self.kernel if self.terms else function)
+        if module is None or module.__name__ == "__main__" or not inspect.getdoc(module):
+            return inspect.getdoc(function)
+        return inspect.getdoc(module)
+
     def describe(self) -> dict[str, Any]:
         """The model as plain data, for --json and documentation."""
         return {
@@ -310,7 +398,7 @@ class Model:
             "title": self.title,
             "reference": self.reference,
             "validity": self.validity,
-            "documentation": inspect.getdoc(inspect.getmodule(self.kernel)),
+            "documentation": self.documentation,
             "parameters": [
                 {
                     "name": p.name,

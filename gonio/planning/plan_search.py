@@ -105,7 +105,7 @@ def design(
     >>> bool(result.u_relative["rho"] < 0.01)
     True
     """
-    chosen = get_model(model) if isinstance(model, str) else model
+    chosen = get_model(model)
     rig = load(instrument) if isinstance(instrument, str) else instrument
     held = Constraints.of(chosen, fixed, tied)
     held.refuse(wanted, "wanted uncertainty")

@@ -51,7 +51,7 @@ def albedo_curve(
     >>> import matplotlib.pyplot as plt
     >>> plt.close(ax.figure)
     """
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     vector = model.vector(parameters or {})
     named = dict(zip(model.names, vector.tolist(), strict=True))
     theta = _COARSE_DEG if model.costly else _THETA_DEG

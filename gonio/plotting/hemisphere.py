@@ -70,7 +70,7 @@ def hemisphere_map(
     >>> import matplotlib.pyplot as plt
     >>> plt.close(axes[0].figure)
     """
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     for angle in theta_i:
         if not 0 <= angle < HORIZON:
             raise ConfigurationError(

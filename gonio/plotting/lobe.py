@@ -179,7 +179,7 @@ def _model_line(result: FitResult | None, part: Slice, edge: float) -> Line | No
     """theta_r in degrees and the fitted BRDF in the plane of incidence."""
     if result is None:
         return None
-    model = models.get(result.model)
+    model = models.of_fit(result)
     # The peak itself is one of the angles: a narrow lobe keeps its height.
     signed = np.union1d(np.linspace(-edge, edge, 721), [min(part.theta_i, edge)])
     phi_r = np.where(signed > 0, part.phi_i + np.pi, part.phi_i)

@@ -113,7 +113,7 @@ def model_lobe(
     >>> import matplotlib.pyplot as plt
     >>> plt.close(ax.figure)
     """
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     _check(theta_i)
     values = model.vector(parameters or {})
     curves = [_curve(model, values, angle, phi_i) for angle in theta_i]
@@ -156,7 +156,7 @@ def model_lobes(model: Model | str, parameters: Mapping[str, float] | None = Non
     >>> import matplotlib.pyplot as plt
     >>> plt.close(axes[0].figure)
     """
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     values = model.vector(parameters or {})
     named = dict(zip(model.names, values.tolist(), strict=True))
     planes = (0.0,) if model.claims.isotropic else (0.0, np.pi / 2)

@@ -59,7 +59,7 @@ def lobe_solid(
     >>> import matplotlib.pyplot as plt
     >>> plt.close(ax.figure)
     """
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     if not 0 <= theta_i < HORIZON:
         raise ConfigurationError(
             f"theta_i = {theta_i:.6g} rad is not above the horizon; allowed is 0 up to pi/2.",

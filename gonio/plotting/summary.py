@@ -184,7 +184,7 @@ def _heading_text(
     title = name + (f" on {known['instrument']}" if known.get("instrument") else "")
     facts = []
     if fit is not None:
-        title += f": {models.get(fit.model).title}"
+        title += f": {models.of_fit(fit).title}"
         facts += [f"{_grouped(fit.n_samples)} samples"]
         if fit.weights == "sd":  # else it has a unit and no meaning of its own
             facts.append(f"χ²/dof {_three_digits(fit.chi2 / fit.dof)}")
@@ -205,7 +205,7 @@ def _heading_text(
 
 def _table(part: SubFigure, fit: FitResult, truth: Mapping[str, float] | None) -> None:
     """Recovered values and their standard uncertainties u beside the true values where known."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     ax = part.subplots()
     ax.set_axis_off()
     head = ["", "meaning", "recovered ± u"]

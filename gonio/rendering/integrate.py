@@ -124,7 +124,7 @@ def render(
     True
     """
     scene = named_scene(scene) if isinstance(scene, str) else scene
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     _check(size, samples, bounces)
     camera = camera or Camera(*scene.view, projection=scene.projection)
     surface = _Surface(model, model.vector(p or {}), scene, turn)

@@ -251,7 +251,7 @@ def plate_reference(
 
 
 def _lobed(model: Model | str, p: Mapping[str, float] | None) -> tuple[Model, FloatArray]:
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     missing = {"rho_d", "rho_s"} - set(model.names)
     if missing or not model.claims.reciprocal:
         raise ConfigurationError(

@@ -111,7 +111,7 @@ def prefilter(
         raise unknown_name("direction to look up", about, get_args(About))
     if rows < 4:
         raise ConfigurationError(f"rows = {rows}: a table has 4 rows or more.", value=rows)
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     vector = model.vector(p or {})
     normal = Environment(np.ones((rows, 2 * rows))).directions().reshape(-1, 3)
     turns = np.arange(1 if model.claims.isotropic else _TURNS) * np.pi / _TURNS
@@ -218,7 +218,7 @@ def prefilter_error(
     -------
     PrefilterError
     """
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     table = prefilter(environment, model, p, about=about, rows=rows)
     # Even over the disc: a spiral by the golden angle.
     k = np.arange(n) + 0.5

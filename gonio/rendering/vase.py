@@ -66,7 +66,7 @@ def cross_section(
             "viewer, to the right (positive) or the left.",
             value=theta_i,
         )
-    model = models.get(model) if isinstance(model, str) else model
+    model = models.get(model)
     x = np.sin(np.linspace(-HORIZON, HORIZON, 403)[1:-1]) if x is None else np.asarray(x, float)
     if not np.all(np.abs(x) < 1):
         raise ConfigurationError(

@@ -38,7 +38,7 @@ def bars(fit: FitResult) -> Chart | None:
     found = shares(fit)
     if not found:
         return None
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     order = list(dict.fromkeys(s for parts in found.values() for s in parts))
     order.sort(key=lambda s: -max(parts.get(s, 0.0) for parts in found.values()))
     palette = COLOURS[1:]

@@ -106,7 +106,7 @@ def profiles(inputs: Inputs) -> Chart | None:
     fit, samples = inputs.fit, inputs.samples
     if samples is None or fit.parts or fit.nuisance or fit.noise_scale <= 0:
         return None
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     try:
         problem = SingleProblem.from_samples(samples, model, fit.weights)  # type: ignore[arg-type]
     except GonioError:

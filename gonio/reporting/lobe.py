@@ -63,7 +63,7 @@ def columns(samples: BRDFSamples) -> list[FloatArray]:
 
 def fitted(fit: FitResult) -> Curve:
     """The fitted model as a function of directions."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     values = fit.values()
     return lambda directions: np.asarray(model(directions, **values))
 

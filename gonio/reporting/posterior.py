@@ -32,7 +32,7 @@ def named(q: Parameter) -> str:
 
 def corner(fit: FitResult, draws: Any) -> Chart:
     """Histograms on the diagonal, contours of 68 % and 95 % below it."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     parameters = [model.parameter(name) for name, e in fit.parameters.items() if e.unknown]
     drawn = [np.asarray(draws[q.name].values, float).ravel() for q in parameters]
     truth: Mapping[str, float] = fit.source.get("truth") or {}
@@ -169,7 +169,7 @@ def _true(x: float | None, y: float | None, k: str) -> list[dict[str, Any]]:
 
 def trace(fit: FitResult, draws: Any) -> Chart:
     """How some of the chains moved, parameter by parameter."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     views = []
     unknowns = [name for name, e in fit.parameters.items() if e.unknown]
     for name in unknowns:

@@ -47,7 +47,7 @@ class Residuals:
 
 def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
     """Residuals in standard uncertainties, or in root mean squares where those are unknown."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     problem = SingleProblem.from_samples(samples, model)
     p = model.vector(fit.values())
     f = problem.values(p)

@@ -37,7 +37,7 @@ def heading(inputs: Inputs, stated: Statement) -> Markup:
     facts = [
         ("Sample", fit.source.get("sample")),
         ("Instrument", fit.source.get("instrument")),
-        ("Model", f"{models.get(fit.model).title} ({fit.model})"),
+        ("Model", f"{models.of_fit(fit).title} ({fit.model})"),
         ("Fit", inputs.name),
     ]
     joint = fit.source.get("joint")
@@ -58,7 +58,7 @@ def title(fit: FitResult) -> str:
     """Model and sample in a few words."""
     sample = fit.source.get("sample")
     name = str(sample).replace("_", " ") if sample else "BRDF samples"
-    return f"{name}: {models.get(fit.model).title}"
+    return f"{name}: {models.of_fit(fit).title}"
 
 
 def _status(fit: FitResult) -> str:
@@ -86,7 +86,7 @@ def _absent(inputs: Inputs) -> Markup:
 
 def parameters(fit: FitResult, stated: Statement) -> Markup:
     """Every parameter with its intervals, beside the true value where it is known."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     truth = fit.source.get("truth") or {}
     k = stated.coverage
     head = ["parameter", "meaning", "value ± standard uncertainty"]
@@ -383,5 +383,5 @@ def commands(inputs: Inputs) -> list[str]:
 
 def reference(fit: FitResult) -> Markup:
     """Formula and source of the model."""
-    model = models.get(fit.model)
+    model = models.of_fit(fit)
     return tag("p", text(f"{model.title}. {model.reference}."))

@@ -94,6 +94,8 @@ def named_target(
         return target, {}
     if isinstance(target, BRDFSamples | Path):
         return None
+    if models.external.is_file(target) and ".py" in target:
+        return models.resolve(target), {}
     path = Path(target)
     if target in models.names() or ("+" in target and not path.exists() and not path.suffix):
         return models.get(target), {}

@@ -204,7 +204,7 @@ def _fitted(source: Path, reader: _Reader) -> _Content:
 def _of_fit(
     fit: FitResult, samples: BRDFSamples | None, session: Session | None, draws: Any
 ) -> _Content:
-    return _Content(fit, samples, session, draws, models.get(fit.model), fit.values())
+    return _Content(fit, samples, session, draws, models.of_fit(fit), fit.values())
 
 
 def _session(path: Path, samples: BRDFSamples, note: Note) -> Session | None:

@@ -35,7 +35,7 @@ def named_surface(
     if material is not None:
         named = materials.get(material)
         model, own = named.model, dict(named.parameters)
-    chosen = model if isinstance(model, Model) else models.get(str(model))
+    chosen = models.get(model) if isinstance(model, Model) else models.resolve(str(model))
     for name in parameters or {}:
         chosen.parameter(name)
     return chosen, {p.name: p.default for p in chosen.parameters} | own | dict(parameters or {})

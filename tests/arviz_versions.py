@@ -15,20 +15,19 @@ BEFORE_1 = int(arviz.__version__.split(".")[0]) < 1
 from_netcdf = arviz.from_netcdf
 
 
-def _by_axes(function: Any, chains: np.ndarray, method: str) -> float:
-    # Arrays of (chains, steps) are what versions before 1 expect; later ones want to be told.
-    axes = {} if BEFORE_1 else {"chain_axis": 0, "draw_axis": 1}
-    return float(function(chains, method=method, **axes))
+# Arrays of (chains, steps) are what versions before 1 expect; later ones want to be told.
+_AXES = {} if BEFORE_1 else {"chain_axis": 0, "draw_axis": 1}
 
 
-def rhat(chains: np.ndarray, method: str = "rank") -> float:
-    """R-hat of chains (chains, steps) of one variable."""
-    return _by_axes(arviz.rhat, chains, method)
+def rhat(chains: np.ndarray) -> float:
+    """Rank-normalised R-hat of chains (chains, steps) of one variable."""
+    return float(arviz.rhat(chains, method="rank", **_AXES))
 
 
 def ess(chains: np.ndarray, method: str) -> float:
-    """Effective number of draws of chains (chains, steps) of one variable."""
-    return _by_axes(arviz.ess, chains, method)
+    """Effective number of draws of chains (chains, steps) of one variable, "bulk" or "tail"."""
+    quantiles = {} if BEFORE_1 or method == "bulk" else {"prob": (0.05, 0.95)}
+    return float(arviz.ess(chains, method=method, **_AXES, **quantiles))
 
 
 def psislw(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

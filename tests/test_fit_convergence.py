@@ -5,7 +5,7 @@ from __future__ import annotations
 import emcee
 import numpy as np
 import pytest
-from arviz_versions import ess, psislw, rhat
+from arviz_versions import BEFORE_1, ess, psislw, rhat
 from scipy.signal import lfilter
 
 from gonio.fitting.posterior import convergence
@@ -60,7 +60,8 @@ def test_k_hat_is_that_of_arviz_and_of_the_weights(shape):
     log_weights = np.log((u**-shape - 1) / shape + 10)
     theirs = float(psislw(log_weights)[1][0])
     ours = convergence.k_hat(log_weights)
-    assert ours == pytest.approx(theirs, abs=0.01)
+    # The tail of arviz 1 is one weight shorter.
+    assert ours == pytest.approx(theirs, abs=0.01 if BEFORE_1 else 0.015)
     assert ours == pytest.approx(shape, abs=0.25)
 
 

@@ -177,7 +177,7 @@ def budget(samples: BRDFSamples) -> Budget:
     ...     Directions(0.3 * np.ones(5), 0.0, theta, 0.0), 0.1 + 0 * theta, 0.001 + 0 * theta
     ... )
     >>> [source.name for source in budget(samples).sources]
-    ['noise']
+    ['independent']
     """
     if samples.u_independent is None and not samples.shared:
         raise DataError(

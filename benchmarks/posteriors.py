@@ -73,12 +73,14 @@ def run() -> list[Row]:
     """Effective draws a second on one thread, burn-in and searches included."""
     samples = measured()
     found = find_minimum(samples, models.get("ward"), threads=1)
-    errors, _ = uncertainties(found.problem, found.optimum, found.noise_scale)
+    errors, _ = uncertainties(found)
     sd = np.sqrt(np.diag(errors.covariance))
 
     def ours(sampler: posterior.Sampler) -> FloatArray:
         problem, optimum = found.problem, found.optimum
-        return posterior.sample(problem, optimum, errors, seed=1, sampler=sampler).draws
+        return posterior.sample(
+            Minimum.of(problem, optimum, 1.0), errors, seed=1, sampler=sampler
+        ).draws
 
     works: dict[str, Callable[[], FloatArray]] = {
         "plain": lambda: plain(samples, found, sd),

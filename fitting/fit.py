@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,10 +11,10 @@ from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.diagnostics.parts import with_parts
 from gonio.fitting.in_memory import InMemory
 from gonio.fitting.minimum import engines
-from gonio.fitting.minimum.find import find_minimum, without_spikes
+from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.joint import find_joint_minimum
-from gonio.fitting.minimum.nuisance import profiled_minimum
-from gonio.fitting.minimum.record import Minimum, goodness
+from gonio.fitting.minimum.nuisance import profiled
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import predictive
 from gonio.fitting.posterior.at_minimum import (
     Progress,
@@ -25,11 +24,10 @@ from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.losses import CHI2, Loss
-from gonio.fitting.problem.nuisance import NuisanceProblem
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
-from gonio.fitting.result import FitResult, NuisanceEstimate
+from gonio.fitting.result import FitResult
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
@@ -159,23 +157,20 @@ def fit(
     if share is None:
         options |= {"engine": searched_by, "loss": loss}
     found = _minimum(samples, chosen, share, **options)
-    found = _learnt(found, profiled_terms(found.problem.samples, nuisance))
+    found = profiled(found, profiled_terms(found.problem.samples, nuisance))
     chain = None
     if posterior:
         found, chain = sampled(found, priors, seed=seed, sampler=sampler, progress=progress)
-    problem, optimum, doubts = found.problem, found.optimum, found.doubts
-    chi2, dof, scale = found.chi2, found.dof, found.noise_scale
-    errors, undetected = uncertainties(problem, optimum, scale)
-    warnings = warnings_of(found, errors) + doubts
-    estimates, bound_warnings = estimated(problem, optimum, errors, dof)
+    problem, optimum, scale = found.problem, found.optimum, found.noise_scale
+    errors, undetected = uncertainties(found)
+    warnings = warnings_of(found, errors) + found.warnings
+    estimates, bound_warnings = estimated(found, errors)
     warnings += condensed(undetected + bound_warnings)
     # What residuals should look like is known for chi-squared alone.
-    diagnostics, diagnosed = diagnose(problem, optimum, scale) if problem.quadratic else ({}, [])
+    diagnostics, diagnosed = diagnose(found) if problem.quadratic else ({}, [])
     warnings += diagnosed
-    told: tuple[NuisanceEstimate, ...] = ()
-    if isinstance(problem, NuisanceProblem):
-        told = nuisance_estimates(problem, optimum)
-        warnings += pull_warnings(told)
+    shared_errors = nuisance_estimates(found)
+    warnings += pull_warnings(shared_errors)
     summary = None
     if chain is not None:
         summary = chain.summary(problem.parameters, None if draws is None else str(draws))
@@ -198,10 +193,10 @@ def fit(
         status=found.status,
         parameters=all_estimates(problem.reported, estimates),
         covariance=None
-        if noiseless(problem, scale)
+        if noiseless(found)
         else all_covariances(problem.reported, covariance(errors)),
-        chi2=chi2,
-        dof=dof,
+        chi2=found.chi2,
+        dof=found.dof,
         noise_scale=scale,
         n_samples=problem.n,
         n_negative=problem.samples.n_negative,
@@ -220,7 +215,7 @@ def fit(
         },
         parts=found.parts,
         sharing=found.sharing,
-        nuisance=told,
+        nuisance=shared_errors,
         engine=engine,
         loss=loss,
         memory=InMemory(chosen, problem, optimum.p, scale, seed, chain),
@@ -275,20 +270,3 @@ def _minimum(
             "gonio.formats.read(file) or BRDFSamples.from_dataframe(table)."
         )
     return find_minimum(samples, model, **options)
-
-
-def _learnt(found: Minimum, names: tuple[str, ...]) -> Minimum:
-    """The minimum with these shared errors learnt; chi-squared counts their draws as well."""
-    if not names:
-        return found
-    problem, optimum, doubts = profiled_minimum(found.problem, found.optimum, names)
-    if not optimum.verified:
-        optimum, told = without_spikes(problem, optimum)
-        doubts = told or doubts
-    chi2, dof, _ = goodness(problem, optimum)
-    if problem.weights == "sd":
-        chi2 += float(problem.z0 @ problem.z0)
-    return replace(
-        found, problem=problem, optimum=optimum, doubts=found.doubts + doubts, chi2=chi2, dof=dof,
-        noise_scale=problem.noise,
-    )  # fmt: skip

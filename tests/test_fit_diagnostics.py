@@ -14,6 +14,7 @@ from gonio.fitting.diagnostics import next_measurement as mending
 from gonio.fitting.diagnostics import residual_report as residuals
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.residual_tests.groups import RINGS
 from gonio.fitting.uncertainty.information import information
@@ -53,7 +54,7 @@ def fitted(samples, name, truth):
 
 def identified(samples, name):
     found = find_minimum(samples, models.get(name))
-    return identify.identify(found.problem, found.optimum, found.noise_scale)
+    return identify.identify(found)
 
 
 # ---------------------------------------------------------------- identifiability
@@ -113,7 +114,7 @@ def test_a_width_without_a_lobe_waits_for_the_lobe():
         directions(200), value + 1e-4 * rng.standard_normal(200), u_independent=np.full(200, 1e-4)
     )
     found = find_minimum(samples, models.get("ward"), start={**WARD, "rho_s": 0.0})
-    report = identify.identify(found.problem, found.optimum, found.noise_scale)
+    report = identify.identify(found)
     assert found.optimum.p[1] == 0
     assert report.not_identified == ("alpha_x", "alpha_y")
     assert report.causes[0].startswith("alpha_x has no effect while rho_s is at its bound 0: ")
@@ -124,7 +125,7 @@ def test_two_terms_of_one_shape_are_named():
     where = directions(100)
     model = models.get("lambert+lambert")
     problem = SingleProblem.from_samples(noisy("lambert", {"rho": 0.4}, where), model)
-    found = identify.identify(problem, minimise(problem, np.array([0.2, 0.2])), 1.0)
+    found = identify.identify(Minimum.of(problem, minimise(problem, np.array([0.2, 0.2])), 1.0))
     first, second = (q.name for q in model.parameters)
     assert found.causes == (
         f"{first} and {second} scale the same shape in these data: only their sum is determined.",
@@ -160,7 +161,7 @@ def test_a_profile_of_a_linear_model_is_its_parabola():
     problem, optimum = fitted(noisy("lambert", {"rho": 0.4}, directions(50)), "lambert", {})
     sd = 1 / np.sqrt(optimum.curvature[0, 0])
     points = optimum.p[0] + sd * np.array([-2.0, 0.0, 1.0, 3.0])
-    growth = profile(problem, optimum, 0, points) - optimum.chi2
+    growth = profile(Minimum.of(problem, optimum), 0, points) - optimum.chi2
     np.testing.assert_allclose(growth, [4, 0, 1, 9], atol=1e-6)
 
 
@@ -185,7 +186,7 @@ def test_right_models_raise_no_alarm(kind):
         stated = {"unstated": None, "understated": sd / 3}.get(kind, sd)
         columns = {"shared": shared} if kind == "shared" else {}
         samples = BRDFSamples(where, value, u_independent=stated, **columns)
-        report = residuals.examine(*fitted(samples, "lambert", {"rho": 0.5}))
+        report = residuals.examine(Minimum.of(*fitted(samples, "lambert", {"rho": 0.5})))
         alarms += report.structured
         sizes += report.verdict == "too large"
     # 1 % of the sets at most: 3 standard deviations of a count of 1.5.
@@ -206,7 +207,7 @@ def test_wrong_models_are_caught(true, wrong):
     if true == "oren_nayar":
         truth = {"rho": 0.8, "sigma": 0.5}
     samples = noisy(true, truth, directions(500, seed=4), noise=0.02)
-    report = residuals.examine(*fitted(samples, wrong, truth))
+    report = residuals.examine(Minimum.of(*fitted(samples, wrong, truth)))
     assert report.structured
     assert report.model_share > 0.5
     assert report.warnings[0].startswith("the model, not the noise, dominates: its error makes ")
@@ -224,7 +225,7 @@ def test_a_ring_that_is_too_bright_is_found_where_it_is():
     f = models.get("lambert")(where, rho=0.5) * np.where(near, 1.08, 1.0)
     rng = np.random.default_rng(3)
     samples = BRDFSamples(where, f * (1 + 0.01 * rng.standard_normal(400)), u_independent=0.01 * f)
-    report = residuals.examine(*fitted(samples, "lambert", {"rho": 0.5}))
+    report = residuals.examine(Minimum.of(*fitted(samples, "lambert", {"rho": 0.5})))
     rings = [p for p in report.maps[RINGS] if p.z > 3]
     assert rings
     for place in rings:
@@ -237,7 +238,7 @@ def test_a_ring_that_is_too_bright_is_found_where_it_is():
 def test_chi_squared_that_is_too_small_is_told():
     samples = noisy("lambert", {"rho": 0.5}, directions(200))
     boast = BRDFSamples(samples.directions, samples.value, u_independent=2 * samples.u_independent)
-    report = residuals.examine(*fitted(boast, "lambert", {"rho": 0.5}))
+    report = residuals.examine(Minimum.of(*fitted(boast, "lambert", {"rho": 0.5})))
     assert report.verdict == "too small"
     assert report.chi2 / report.dof == pytest.approx(0.25, abs=0.1)
     assert "too small for the stated noise" in report.warnings[0]
@@ -250,7 +251,7 @@ def test_structure_below_the_stated_shared_errors_is_no_alarm():
     value = f * (1 + 0.003 * rng.standard_normal(500))
     standard = SharedTerm("standard", "", relative=0.05)
     samples = BRDFSamples(where, value, u_independent=0.003 * f, shared=(standard,))
-    report = residuals.examine(*fitted(samples, "lambert", {"rho": 0.5}))
+    report = residuals.examine(Minimum.of(*fitted(samples, "lambert", {"rho": 0.5})))
     assert report.structured
     assert report.covered
     assert report.warnings == []

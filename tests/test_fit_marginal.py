@@ -46,10 +46,8 @@ def noisy(name, truth, *, n=200, sd=1e-3, relative=0.0, seed=2, **columns):
 
 def sampled(samples, name, sampler="auto", seed=1, threads=1, **options):
     found = find_minimum(samples, models.get(name), threads=threads)
-    errors, _ = uncertainties(found.problem, found.optimum, found.noise_scale)
-    chain = posterior.sample(
-        found.problem, found.optimum, errors, seed=seed, sampler=sampler, **options
-    )
+    errors, _ = uncertainties(found)
+    chain = posterior.sample(found, errors, seed=seed, sampler=sampler, **options)
     return found, chain
 
 
@@ -401,8 +399,8 @@ def test_other_problems_are_sampled_whole_by_emcee():
     samples = noisy("lambert", {"rho": 0.4}, n=50)
     found = find_minimum(samples, models.get("lambert"))
     other = Tilted(**{k: getattr(found.problem, k) for k in found.problem.__dataclass_fields__})
-    errors, _ = uncertainties(other, found.optimum, found.noise_scale)
-    chain = posterior.sample(other, found.optimum, errors, seed=1)
+    errors, _ = uncertainties(found.at(other, found.optimum))
+    chain = posterior.sample(found.at(other, found.optimum), errors, seed=1)
     assert (chain.sampler, chain.converged) == ("emcee", True)
     sd = np.sqrt(errors.covariance[0, 0])
     assert chain.draws.std() == pytest.approx(sd, rel=0.06)
@@ -413,7 +411,7 @@ def test_other_problems_are_sampled_whole_by_emcee():
     with pytest.raises(
         ConfigurationError, match=r"^sampler 'marginal' needs one model with independent noise"
     ):
-        posterior.sample(other, found.optimum, errors, seed=1, sampler="marginal")
+        posterior.sample(found.at(other, found.optimum), errors, seed=1, sampler="marginal")
 
 
 # ---------------------------------------------------------------- predictions

@@ -16,6 +16,7 @@ import gonio
 from gonio import models
 from gonio.errors import DataError
 from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import density as targets
 from gonio.fitting.posterior import ensemble_sampler, marginal_density, marginal_sampler
 from gonio.fitting.posterior import sample as posterior
@@ -115,8 +116,8 @@ def test_draws_have_the_covariance_of_the_fit_where_the_noise_is_small():
     samples = noisy("ward_isotropic", ISOTROPIC, n=400, sd=2e-4)
     problem = SingleProblem.from_samples(samples, models.get("ward_isotropic"))
     optimum = minimise(problem, np.array(list(ISOTROPIC.values())))
-    errors = uncertainty.evaluate(problem, optimum, 1.0)
-    chain = posterior.sample(problem, optimum, errors, seed=1)
+    errors = uncertainty.evaluate(Minimum.of(problem, optimum, 1.0))
+    chain = posterior.sample(Minimum.of(problem, optimum, 1.0), errors, seed=1)
     assert chain.converged
     draws = chain.draws.reshape(-1, 3)
     sd = np.sqrt(np.diag(errors.covariance))
@@ -150,8 +151,8 @@ def test_one_seed_one_chain_at_any_number_of_threads(monkeypatch):
     def chain(seed, threads):
         problem = SingleProblem.from_samples(samples, models.get("lambert"), threads=threads)
         optimum = minimise(problem, np.array([0.4]))
-        errors = uncertainty.evaluate(problem, optimum, 1.0)
-        return posterior.sample(problem, optimum, errors, seed=seed, max_steps=100)
+        errors = uncertainty.evaluate(Minimum.of(problem, optimum, 1.0))
+        return posterior.sample(Minimum.of(problem, optimum, 1.0), errors, seed=seed, max_steps=100)
 
     one, two, other = chain(7, 1), chain(7, 2), chain(8, 1)
     np.testing.assert_array_equal(one.draws, two.draws)
@@ -287,7 +288,7 @@ def celled(sd, spread=0.02, n=400, members=4):
     samples = BRDFSamples(where, value, u_independent=np.full(n, sd), cells=cells)
     problem = SingleProblem.from_samples(samples, models.get("ward_isotropic"))
     optimum = minimise(problem, p)
-    return problem, optimum, uncertainty.evaluate(problem, optimum, 1.0)
+    return problem, optimum, uncertainty.evaluate(Minimum.of(problem, optimum, 1.0))
 
 
 def test_cell_factors_keep_the_likelihood(monkeypatch):
@@ -307,17 +308,20 @@ def test_cell_factors_keep_the_likelihood(monkeypatch):
     # Nothing is expanded where the cells are integrated over.
     fast.exact = True
     assert np.ptp(fast.log_likelihood(batch) - exact) < 1e-6
-    chain = posterior.sample(problem, optimum, errors, seed=1)
+    chain = posterior.sample(Minimum.of(problem, optimum, 1.0), errors, seed=1)
     assert chain.warnings == []
 
 
 def test_a_broad_posterior_falls_back_to_the_cells(monkeypatch):
     problem, optimum, errors = celled(0.1, spread=0.2, n=100)
     monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 0)
-    slow = posterior.sample(problem, optimum, errors, seed=1, max_steps=300)
+    slow = posterior.sample(Minimum.of(problem, optimum, 1.0), errors, seed=1, max_steps=300)
     assert slow.warnings == [
         "the lobe changes over the cells within the posterior: the likelihood was integrated over "
         "every cell, which is slower."
     ]
     monkeypatch.setattr(marginal_density, "EXACT_MEMBERS", 10**9)
-    assert posterior.sample(problem, optimum, errors, seed=1, max_steps=300).warnings == []
+    assert (
+        posterior.sample(Minimum.of(problem, optimum, 1.0), errors, seed=1, max_steps=300).warnings
+        == []
+    )

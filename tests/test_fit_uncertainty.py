@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 import gonio
 from gonio import models
 from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.shared_change import _blurred
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.uncertainty.profile_likelihood import profile_limit
@@ -326,4 +327,4 @@ def test_profile_of_an_unlimited_parameter_is_none():
     samples = BRDFSamples(directions(50), np.full(50, 1e-3), u_independent=np.full(50, 10.0))
     problem = SingleProblem.from_samples(samples, models.get("lambert"))
     end = minimise(problem, np.array([0.5]))
-    assert profile_limit(problem, end, 0, 1.0, side=1) is None
+    assert profile_limit(Minimum.of(problem, end), 0, 1.0, side=1) is None

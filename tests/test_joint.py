@@ -13,6 +13,7 @@ import gonio
 from gonio import models
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.minimum.minimise import minimise, pinned_at
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.channels import Channel, split
 from gonio.fitting.problem.joined_samples import joined
 from gonio.fitting.problem.joint import JointProblem
@@ -392,7 +393,7 @@ def test_a_parts_own_parameter_is_followed_in_the_part_alone():
     problem = joint_problem(samples)
     optimum = minimise(problem, problem.vector({}), search=False)
     j = [q.name for q in problem.parameters].index("rho_s[450 nm]")
-    limit = profile_limit(problem, optimum, j, 3.84, side=1)
+    limit = profile_limit(Minimum.of(problem, optimum), j, 3.84, side=1)
 
     def growth(value):
         p = np.where(np.arange(7) == j, value, optimum.p)

@@ -18,6 +18,7 @@ from gonio.fitting.minimum import curvature
 from gonio.fitting.minimum.gauss_newton import UNDETERMINED
 from gonio.fitting.minimum.minimise import minimise, pinned_at
 from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray
@@ -84,9 +85,7 @@ class HeldOut:
     left_out: tuple[str, ...]
 
 
-def held_out(
-    problem: Problem, optimum: Optimum, groups: list[Index], noise_scale: float
-) -> HeldOut:
+def held_out(minimum: Minimum, groups: list[Index]) -> HeldOut:
     """Predict each group from a fit to all others, which starts at the optimum of all.
 
     The density of a group is normal: independent noise, the uncertainty of the parameters that
@@ -95,12 +94,11 @@ def held_out(
 
     Parameters
     ----------
-    problem : Problem
-    optimum : Optimum
+    minimum : Minimum
     groups : list of ndarray
         Indices, disjoint.
-    noise_scale : float
     """
+    problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     held = _held_at_bounds(problem, optimum)
     names = [term.name for term in problem.samples.shared]
     scores, unverified, left_out = [], 0, set[str]()
@@ -211,26 +209,19 @@ class Draws:
         return self.log_likelihood - self.log_proposal
 
 
-def draw(
-    problem: Problem,
-    optimum: Optimum,
-    noise_scale: float,
-    chosen: Index,
-    rng: np.random.Generator,
-) -> Draws:
+def draw(minimum: Minimum, chosen: Index, rng: np.random.Generator) -> Draws:
     """Draw parameters from a Student-t with the mode and the covariance of the posterior.
 
     Parameters on a bound, and directions about which the data say nothing, stay where they are.
 
     Parameters
     ----------
-    problem : Problem
-    optimum : Optimum
-    noise_scale : float
+    minimum : Minimum
     chosen : ndarray of int64
         Samples whose own log-likelihood is wanted.
     rng : Generator
     """
+    problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     parameters = problem.parameters
     n = int(np.clip(MEMBER_BUDGET // len(problem.cells.weight), MIN_DRAWS, DRAWS))
     root = known_directions(optimum, noise_scale)

@@ -40,12 +40,12 @@ def score_model(
     if not np.array_equal(problem.inverse_variance, common):
         problem = problem.with_weights(common)
         optimum = minimise(problem, optimum.p, search=False)
-    minimum = replace(minimum, problem=problem, optimum=optimum)
-    errors, undetected = uncertainties(problem, optimum, reference.noise_scale)
-    notes = [*minimum.doubts, *undetected]
-    by_group = _held_out(minimum, groups, reference.noise_scale, notes)
+    minimum = replace(minimum, problem=problem, optimum=optimum, noise_scale=reference.noise_scale)
+    errors, undetected = uncertainties(minimum)
+    notes = [*minimum.warnings, *undetected]
+    by_group = _held_out(minimum, groups, notes)
     rng = np.random.default_rng([seed, 1])
-    draws = predictive_scores.draw(problem, optimum, reference.noise_scale, some, rng)
+    draws = predictive_scores.draw(minimum, some, rng)
     by_sample, k_hat = _leave_one_out(draws, notes)
     evidence = _evidence(minimum, errors, draws, notes)
     parameters = problem.parameters
@@ -76,7 +76,7 @@ def _names(minimum: Minimum, which: Any) -> tuple[str, ...]:
 
 
 def _held_out(
-    minimum: Minimum, groups: list[predictive_scores.Index], noise_scale: float, notes: list[str]
+    minimum: Minimum, groups: list[predictive_scores.Index], notes: list[str]
 ) -> FloatArray | None:
     problem = minimum.problem
     if len(groups) < predictive_scores.MIN_GROUPS:
@@ -88,7 +88,7 @@ def _held_out(
             f"{len(problem.parameters)} parameters."
         )
         return None
-    found = predictive_scores.held_out(problem, minimum.optimum, groups, noise_scale)
+    found = predictive_scores.held_out(minimum, groups)
     if found.unverified:
         notes.append(
             f"{found.unverified} of {len(groups)} held-out fits did not reach a verified minimum."
@@ -137,7 +137,7 @@ def _evidence(
         reason = f"at a bound: {', '.join(_names(minimum, _held(minimum.optimum)))}"
     elif not errors.determined.all():
         reason = f"not determined: {', '.join(_names(minimum, ~errors.determined))}"
-    elif minimum.doubts:
+    elif minimum.warnings:
         reason = "there is another minimum that fits almost as well"
     elif len(parameters) > predictive_scores.EVIDENCE_PARAMETERS:
         reason = f"more than {predictive_scores.EVIDENCE_PARAMETERS} parameters"

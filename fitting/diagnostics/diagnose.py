@@ -6,31 +6,28 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.fitting.diagnostics.identifiability import identify
 from gonio.fitting.diagnostics.residual_report import ResidualReport, examine
-from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.copies import (
     copies_warning,
 )
 from gonio.fitting.problem.protocol import Problem
 
 
-def diagnose(
-    problem: Problem, optimum: Optimum, noise_scale: float
-) -> tuple[dict[str, Any], list[str]]:
+def diagnose(minimum: Minimum) -> tuple[dict[str, Any], list[str]]:
     """Diagnostics of a fit as plain data, and what a reader must be warned of.
 
     Parameters
     ----------
-    problem : Problem
+    minimum : Minimum
         Over one BRDF or several; of several the residuals of each are examined.
-    optimum : Optimum
-    noise_scale : float
-        Factor on the independent uncertainties.
     """
-    identified = identify(problem, optimum, noise_scale)
-    reports = [_of_piece(piece, optimum, place) for piece, _, place in problem.pieces()]
+    problem = minimum.problem
+    identified = identify(minimum)
+    reports = [_of_piece(minimum, piece, place) for piece, _, place in problem.pieces()]
     warnings = copies_warning(problem.samples) + identified.warnings
     if len(reports) == 1:
         told: Any = reports[0].to_dict()
@@ -47,7 +44,8 @@ def diagnose(
     return {"identifiability": identified.to_dict(), "residuals": told}, warnings
 
 
-def _of_piece(piece: Problem, optimum: Optimum, place: Any) -> ResidualReport:
+def _of_piece(minimum: Minimum, piece: Problem, place: NDArray[np.int64]) -> ResidualReport:
+    optimum = minimum.optimum
     own = replace(
         optimum,
         p=optimum.p[place],
@@ -55,4 +53,4 @@ def _of_piece(piece: Problem, optimum: Optimum, place: Any) -> ResidualReport:
         curvature=optimum.curvature[np.ix_(place, place)],
         free=optimum.free[place],
     )
-    return examine(piece, own)
+    return examine(minimum.at(piece, own))

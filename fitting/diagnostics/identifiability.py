@@ -17,7 +17,7 @@ from gonio.fitting.diagnostics.exchanges import (
 )
 from gonio.fitting.diagnostics.next_measurement import Mending, mend
 from gonio.fitting.minimum import curvature
-from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.result import plain
@@ -102,16 +102,12 @@ class Identifiability:
         return told
 
 
-def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifiability:
+def identify(minimum: Minimum) -> Identifiability:
     """Identifiability of a problem's parameters at its minimum.
 
     Parameters
     ----------
-    problem : Problem
-        With the weights that the minimum was found with.
-    optimum : Optimum
-    noise_scale : float
-        Factor on the independent uncertainties; 0 where the model leaves no residuals.
+    minimum : Minimum
 
     Notes
     -----
@@ -121,14 +117,17 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
 
     Examples
     --------
+    >>> from gonio.fitting.minimum.minimise import minimise
+    >>> from gonio.fitting.problem.single import SingleProblem
     >>> from gonio.geometry import Directions
     >>> from gonio.models import get
     >>> from gonio.samples import BRDFSamples
     >>> samples = BRDFSamples(Directions(0.3, 0.0, np.linspace(0, 1.2, 20), 0.0), np.full(20, 0.1))
     >>> problem = SingleProblem.from_samples(samples, get("lambert"))
-    >>> identify(problem, minimise(problem, np.array([0.5])), 0.01).not_identified
+    >>> identify(Minimum.of(problem, minimise(problem, np.array([0.5])), 0.01)).not_identified
     ()
     """
+    problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     parameters = problem.parameters
     h = optimum.curvature
     informed = np.asarray(np.diag(h) > 0)
@@ -139,7 +138,7 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
     for value, vector in zip(values, vectors.T, strict=True):
         if value < UNDETERMINED:
             missing |= set(seen[np.abs(vector) > TAKES_PART].tolist())
-    hard = _hardly(problem, optimum, seen, missing, noise_scale)
+    hard = _hardly(minimum, seen, missing)
     causes = causes_of(problem, optimum, seen, values, vectors, scale, missing, hard)
     correlation, pairs = _correlation(problem, h, free, missing)
     curable = [
@@ -148,12 +147,12 @@ def identify(problem: Problem, optimum: Optimum, noise_scale: float) -> Identifi
     if not curable and pairs:
         order = [q.name for q in parameters]
         curable = sorted({order.index(name) for a, b, _ in pairs for name in (a, b)})
-    mending = mend(problem, optimum, curable, noise_scale) if curable else None
+    mending = mend(minimum, curable) if curable else None
     names = tuple(parameters[k].name for k in range(len(parameters)))
     return Identifiability(
         parameters=tuple(names[k] for k in free),
         correlation=correlation,
-        bound=_bounds(problem, optimum, free, missing, noise_scale),
+        bound=_bounds(minimum, free, missing),
         alone={names[k]: _alone(problem, h, int(k), noise_scale) for k in range(len(parameters))},
         axes=tuple(
             Axis(float(max(v, 0.0)), step_along(problem, optimum, seen, vector / scale))
@@ -174,10 +173,9 @@ def _known(free: NDArray[np.int64], missing: set[int]) -> NDArray[np.int64]:
     return np.array([k for k in free if k not in missing], dtype=np.int64)
 
 
-def _hardly(
-    problem: Problem, optimum: Optimum, seen: NDArray[np.int64], missing: set[int], noise: float
-) -> set[int]:
+def _hardly(minimum: Minimum, seen: NDArray[np.int64], missing: set[int]) -> set[int]:
     """Parameters that other ones replace so well that little is known of them."""
+    problem, optimum, noise = minimum.problem, minimum.optimum, minimum.noise_scale
     index = _known(seen, missing)
     if len(index) == 0:
         return set()
@@ -221,13 +219,10 @@ def _correlation(
 
 
 def _bounds(
-    problem: Problem,
-    optimum: Optimum,
-    free: NDArray[np.int64],
-    missing: set[int],
-    noise_scale: float,
+    minimum: Minimum, free: NDArray[np.int64], missing: set[int]
 ) -> dict[str, float | None]:
     """Cramer and Rao's bound; None without information or noise, and at a bound."""
+    problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     bounds: dict[str, float | None] = {q.name: None for q in problem.parameters}
     index = _known(free, missing)
     if noise_scale <= 0 or len(index) == 0 or len(problem.pieces()) > 1:

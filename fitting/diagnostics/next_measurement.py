@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.fitting.minimum.curvature import TAKES_PART, axes
-from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
 from gonio.kernels.boxed import UNDETERMINED
@@ -57,20 +57,16 @@ class Mending:
     text: str
 
 
-def mend(
-    problem: Problem, optimum: Optimum, wanted: list[int], noise_scale: float
-) -> Mending | None:
+def mend(minimum: Minimum, wanted: list[int]) -> Mending | None:
     """The best single measurement for the wanted parameters; None if none tells of them all.
 
     Parameters
     ----------
-    problem : Problem
-    optimum : Optimum
+    minimum : Minimum
     wanted : list of int
         Numbers of the parameters.
-    noise_scale : float
-        Factor on the independent uncertainties; 0 where unknown.
     """
+    problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     if len(problem.independent.pieces()) > 1:
         return None  # the parts of a joint fit have their own directions
     isotropic = problem.model.claims.isotropic

@@ -34,7 +34,7 @@ def with_parts(joint: JointMinimum) -> Minimum:
     warnings += _correlation_warning(problem, optimum)
     return replace(
         joint.whole,
-        doubts=warnings + joint.whole.doubts,
+        warnings=warnings + joint.whole.warnings,
         chi2=sum(part.chi2 for part in parts),
         parts=parts,
         sharing=test if test.parameters else None,

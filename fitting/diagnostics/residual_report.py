@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.shared_columns import shared_columns, thinned
 from gonio.fitting.residual_tests.chi_squared import chi_squared_test
 from gonio.fitting.residual_tests.groups import (
@@ -182,18 +181,17 @@ class ResidualReport:
         return told
 
 
-def examine(problem: Problem, optimum: Optimum) -> ResidualReport:
+def examine(minimum: Minimum) -> ResidualReport:
     """Examine the residuals of a fit.
 
     Parameters
     ----------
-    problem : Problem
-        With the weights that the minimum was found with.
-    optimum : Optimum
+    minimum : Minimum
 
     Examples
     --------
-    >>> from gonio.fitting.minimum.gauss_newton import minimise
+    >>> from gonio.fitting.minimum.minimise import minimise
+    >>> from gonio.fitting.problem.single import SingleProblem
     >>> from gonio.geometry import Directions
     >>> from gonio.models import get
     >>> from gonio.samples import BRDFSamples
@@ -201,10 +199,10 @@ def examine(problem: Problem, optimum: Optimum) -> ResidualReport:
     >>> noise = 0.01 * np.random.default_rng(1).standard_normal(200)
     >>> samples = BRDFSamples(Directions(0.3, 0.0, theta, np.pi), 0.1 + noise)
     >>> problem = SingleProblem.from_samples(samples, get("lambert"))
-    >>> examine(problem, minimise(problem, np.array([0.5]))).structured
+    >>> examine(Minimum.of(problem, minimise(problem, np.array([0.5])))).structured
     False
     """
-    problem = thinned(problem, MOST)
+    problem, optimum = thinned(minimum.problem, MOST), minimum.optimum
     f, jacobian = problem.jacobian(optimum.p)
     seen = optimum.free & (np.diag(optimum.curvature) > 0)
     base = Base(problem, f, jacobian[:, seen], shared_columns(problem, optimum.p, f))

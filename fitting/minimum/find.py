@@ -44,9 +44,9 @@ def find_minimum(
     )
     if held:
         problem = ReducedProblem.of(problem, held)
-    problem, optimum, doubts = _find(problem, start, engine)
+    problem, optimum, warnings = _find(problem, start, engine)
     faults = gradient_faults(problem, optimum.p)
-    return Minimum(problem, optimum, doubts, faults, *goodness(problem, optimum))
+    return Minimum.of(problem, optimum, warnings=warnings, faults=faults)
 
 
 def _find(
@@ -54,13 +54,13 @@ def _find(
 ) -> tuple[Problem, Optimum, list[str]]:
     """The deepest minimum found, the problem with its weights, and what to know about it."""
     found = minima(problem, engine)
-    doubts = []
+    warnings = []
     if start is not None:
         given = minimise(problem, problem.vector(start), engine=engine)
         if better(given, found[0]) is given:
             found = [given]
         elif given.verified:
-            doubts.append(
+            warnings.append(
                 f"the start led to another minimum, at {place(problem, given)}, where chi2 is "
                 f"{given.chi2 / max(found[0].chi2, 1e-300):.3g} times that of the minimum that was "
                 "taken."
@@ -70,13 +70,13 @@ def _find(
         if problem.weights_follow_model:
             other = minimise(problem, other.p, search=False)
         deepest = better(optimum, other)
-        doubts += rival(problem, deepest, optimum if deepest is other else other)
+        warnings += rival(problem, deepest, optimum if deepest is other else other)
         if deepest is other:
             problem, optimum = settled(problem, other)
     if not optimum.verified:
         optimum, told = without_spikes(problem, optimum)
-        doubts = told or doubts
-    return problem, optimum, doubts
+        warnings = told or warnings
+    return problem, optimum, warnings
 
 
 def settled(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:

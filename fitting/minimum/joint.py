@@ -16,7 +16,7 @@ from gonio.fitting.minimum.joint_starts import (
 )
 from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.minimum.optimum import Optimum, better
-from gonio.fitting.minimum.record import Minimum, goodness
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.minimum.rivals import rival
 from gonio.fitting.problem.channels import Channel, Source, split
 from gonio.fitting.problem.constraints import Constraints
@@ -97,14 +97,13 @@ def find_joint_minimum(
     problem = JointProblem.from_parts(
         channels, [m.problem for m in alone], share, [_scale(m) for m in alone]
     )
-    problem, optimum, doubts = _find(problem, alone, start)
+    problem, optimum, warnings = _find(problem, alone, start)
     faults = [
         problem.names_of_part(k)[name]
         for k, (part, _, place) in enumerate(problem.pieces())
         for name in gradient_faults(part, optimum.p[place])
     ]
-    chi2, dof, scale = goodness(problem, optimum)
-    whole = Minimum(problem, optimum, doubts, list(dict.fromkeys(faults)), chi2, dof, scale)
+    whole = Minimum.of(problem, optimum, warnings=warnings, faults=list(dict.fromkeys(faults)))
     return JointMinimum(problem, whole, tuple(alone), tuple(channels))
 
 
@@ -162,19 +161,19 @@ def _find(
     else:
         candidates = joint_starts(problem, alone)
     problem, optimum = _settled(problem, minimise(problem, candidates[0], search=False))
-    doubts: list[str] = []
+    warnings: list[str] = []
     for candidate in candidates[1:]:
         other = minimise(problem, candidate, search=False)
         deepest = better(optimum, other)
         if deepest is optimum:
-            doubts += rival(problem, optimum, other)
+            warnings += rival(problem, optimum, other)
         else:
-            doubts = rival(problem, other, optimum)
+            warnings = rival(problem, other, optimum)
             problem, optimum = _settled(problem, other)
     if not optimum.verified:
         optimum, told = without_spikes(problem, optimum)
-        doubts = told or doubts
-    return problem, optimum, doubts
+        warnings = told or warnings
+    return problem, optimum, warnings
 
 
 def _settled(problem: JointProblem, optimum: Optimum) -> tuple[JointProblem, Optimum]:

@@ -2,40 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from gonio.fitting.minimum.find import without_spikes
 from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum, goodness
 from gonio.fitting.problem.nuisance import NuisanceProblem
-from gonio.fitting.problem.protocol import Problem
 
 ROUNDS = 12  # of new weights, draws and parameters
 SETTLED = 1e-3  # of the uncertainties: a last round that moves less ends them
 
 
-def profiled_minimum(
-    problem: Problem, optimum: Optimum, names: Sequence[str]
-) -> tuple[NuisanceProblem, Optimum, list[str]]:
-    """The minimum with shared errors learnt, from that without; and what to know about it.
+def profiled(minimum: Minimum, names: tuple[str, ...]) -> Minimum:
+    """The minimum with these shared errors profiled; chi-squared counts their draws as well."""
+    if not names:
+        return minimum
+    problem, optimum, warnings = _alternated(minimum, names)
+    if not optimum.verified:
+        optimum, spikes = without_spikes(problem, optimum)
+        warnings = spikes or warnings
+    chi2, dof, _ = goodness(problem, optimum)
+    if problem.weights == "sd":
+        chi2 += float(problem.z0 @ problem.z0)
+    return replace(
+        minimum, problem=problem, optimum=optimum, noise_scale=problem.noise, chi2=chi2, dof=dof,
+        warnings=minimum.warnings + warnings,
+    )  # fmt: skip
 
-    Weights, U and z0 follow parameters and draws, which follow them, until both stand still.
-    """
-    learning = NuisanceProblem.of(problem, names)
+
+def _alternated(
+    minimum: Minimum, names: tuple[str, ...]
+) -> tuple[NuisanceProblem, Optimum, list[str]]:
+    """Rounds of weights, draws and parameters, each following the others until all stand still."""
+    problem = NuisanceProblem.of(minimum.problem, names)
+    optimum = minimum.optimum
     evaluations = optimum.evaluations
     for _ in range(ROUNDS):
         before = optimum.p
-        learning = learning.reweighted(before)
-        optimum = minimise(learning, before, near=True)
+        problem = problem.reweighted(before)
+        optimum = minimise(problem, before, near=True)
         evaluations += optimum.evaluations
         step = optimum.p - before
-        still = float(step @ optimum.curvature @ step) <= (SETTLED * learning.noise) ** 2
-        if still and np.all(np.abs(learning.draws(optimum.p) - learning.z0) <= SETTLED):
-            return learning, replace(optimum, evaluations=evaluations), []
-    told = (
+        still = float(step @ optimum.curvature @ step) <= (SETTLED * problem.noise) ** 2
+        if still and np.all(np.abs(problem.draws(optimum.p) - problem.z0) <= SETTLED):
+            return problem, replace(optimum, evaluations=evaluations), []
+    text = (
         f"the shared errors that were learnt have not settled in {ROUNDS} rounds: they are too "
         "large for this model, or it is the wrong one."
     )
-    return learning, replace(optimum, evaluations=evaluations), [told]
+    return problem, replace(optimum, evaluations=evaluations), [text]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -19,17 +20,21 @@ CHI2_95 = 3.841459  # 95 % quantile of chi-squared with one degree of freedom
 class Minimum:
     """Where the least squares of a model lie, and how well it fits there.
 
+    Uncertainties, intervals, posterior, diagnostics and comparison take it as their one argument.
+
     Parameters
     ----------
     problem : Problem
         With the weights that the minimum was found with.
     optimum : Optimum
-    doubts : list of str
+    noise_scale : float
+        Factor on the independent uncertainties; 0 where the model leaves no residuals.
+    chi2, dof : float, int
+        As `FitResult` has them.
+    warnings : list of str
         A rival minimum, or a lobe that was taken out.
     faults : list of str
         Parameters whose derivative is not that of the model.
-    chi2, dof, noise_scale : float, int, float
-        As `FitResult` has them.
     parts : tuple of PartFit
         Of a joint fit.
     sharing : Sharing or None
@@ -38,13 +43,32 @@ class Minimum:
 
     problem: Problem
     optimum: Optimum
-    doubts: list[str]
-    faults: list[str]
+    noise_scale: float
     chi2: float
     dof: int
-    noise_scale: float
+    warnings: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
     parts: tuple[PartFit, ...] = ()
     sharing: Sharing | None = None
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        optimum: Optimum,
+        noise_scale: float | None = None,
+        *,
+        warnings: Sequence[str] = (),
+        faults: Sequence[str] = (),
+    ) -> Minimum:
+        """The minimum with its goodness; the noise scale is found where it is not given."""
+        chi2, dof, found = goodness(problem, optimum)
+        scale = found if noise_scale is None else noise_scale
+        return cls(problem, optimum, scale, chi2, dof, list(warnings), list(faults))
+
+    def at(self, problem: Problem, optimum: Optimum) -> Minimum:
+        """The same noise about a minimum of another problem over these samples, or some of them."""
+        return replace(self, problem=problem, optimum=optimum)
 
     @property
     def status(self) -> Literal["converged", "not_converged"]:

@@ -11,7 +11,7 @@ from gonio.errors import DataError
 from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.minimum.find import settled
 from gonio.fitting.minimum.minimise import minimise
-from gonio.fitting.minimum.record import Minimum, goodness
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.minimum.rivals import place
 from gonio.fitting.posterior import sample as posteriors
 from gonio.fitting.posterior.chain import Chain, Progress, Sampler
@@ -44,11 +44,10 @@ def sampled(
         )
     believed = resolve(found.problem.parameters, priors)
     for _ in range(RESTARTS + 1):
-        errors, _ = uncertainties(found.problem, found.optimum, found.noise_scale)
+        errors, _ = uncertainties(found)
         chain = posteriors.sample(
-            found.problem, found.optimum, errors, seed=seed, sampler=sampler, priors=believed,
-            progress=progress,
-        )  # fmt: skip
+            found, errors, seed=seed, sampler=sampler, priors=believed, progress=progress
+        )
         deeper = _deeper_by_draws(found, chain)
         if deeper is None:
             break
@@ -68,7 +67,7 @@ def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
     if found.parts or problem.profiled:
         told = "the posterior holds a deeper minimum, which the search did not find."
         return replace(
-            found, optimum=replace(optimum, verified=False), doubts=[*found.doubts, told]
+            found, optimum=replace(optimum, verified=False), warnings=[*found.warnings, told]
         )
     problem, other = settled(problem, other)
     told = (
@@ -76,4 +75,4 @@ def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
         "one, which was taken."
     )
     faults = gradient_faults(problem, other.p)
-    return Minimum(problem, other, [told], faults, *goodness(problem, other))
+    return Minimum.of(problem, other, warnings=[told], faults=faults)

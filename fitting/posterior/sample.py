@@ -17,6 +17,7 @@ import numpy as np
 
 from gonio.errors import ConfigurationError
 from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import marginal_sampler
 from gonio.fitting.posterior.chain import Chain, Progress, Sampler
 from gonio.fitting.posterior.density import TOLERANCE, Target, WholeTarget
@@ -31,8 +32,7 @@ NEAR_SUM = 6.0  # standard deviations from 1 at which a limited sum no longer ma
 
 
 def sample(
-    problem: Problem,
-    optimum: Optimum,
+    minimum: Minimum,
     errors: Uncertainty,
     *,
     seed: int,
@@ -45,9 +45,7 @@ def sample(
 
     Parameters
     ----------
-    problem : Problem
-        With the weights of the least-squares minimum.
-    optimum : Optimum
+    minimum : Minimum
     errors : Uncertainty
         Its noise scale widens the likelihood, its shared terms move the draws.
     seed : int
@@ -66,6 +64,7 @@ def sample(
         Where the marginal sampler is asked for and the problem is not one model with independent
         noise and squared residuals.
     """
+    problem, optimum = minimum.problem, minimum.optimum
     rng = np.random.default_rng(seed)
     priors = resolve(problem.parameters) if priors is None else tuple(priors)
     root = _proposal_root(problem, optimum, errors)

@@ -341,6 +341,11 @@ class JointProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return columns * self.inverse_variance[:, None]
 
+    def profiled_draws(
+        self, p: FloatArray, determined: NDArray[np.bool_]
+    ) -> list[tuple[str, int | None, float, float]]:
+        return []
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         if not self.samples.shared:
             return []
@@ -387,7 +392,8 @@ def _reported(
 ) -> tuple[Reported, ...]:
     """Parameters that all parts have in common, fixed ones among them, then those of each part."""
     shared = {q.name for q in parameters}
-    common, own = [], []
+    common: list[Reported] = []
+    own: list[Reported] = []
     for r in part.reported:
         in_common = r.unknown is None or part.parameters[r.unknown].name in shared
         (common if in_common else own).append(r)

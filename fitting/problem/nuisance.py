@@ -245,6 +245,35 @@ class NuisanceProblem:
         """Estimate of every draw where the parameters are p, in units of its prior's sd."""
         return self._absorbed(self._residual(p)) / self.noise
 
+    def profiled_draws(
+        self, p: FloatArray, determined: NDArray[np.bool_]
+    ) -> list[tuple[str, int | None, float, float]]:
+        """Name, group, estimate and standard uncertainty of every profiled draw.
+
+        The covariance of all draws is that of parameters and draws together: (I + U^T W U/s^2 -
+        B (J^T W J)^-1 B^T)^-1 with B = U^T W J, over the parameters that the data determine.
+        """
+        weight = self.inverse_variance / self.noise**2
+        _, jac = self.jacobian(p)
+        inner = np.eye(len(self.z0)) + self.basis.T @ (weight[:, None] * self.basis.toarray())
+        if determined.any():
+            jac = jac[:, determined]
+            scale = np.sqrt(np.sum(weight[:, None] * jac**2, axis=0))
+            jac = jac / scale
+            cross = np.asarray(self.basis.T @ (weight[:, None] * jac))
+            square = np.linalg.pinv(jac.T @ (weight[:, None] * jac), hermitian=True)
+            inner -= cross @ square @ cross.T
+        sd = np.sqrt(np.diag(np.linalg.inv((inner + inner.T) / 2)).clip(0, 1))
+        z = self.draws(p)
+        found: list[tuple[str, int | None, float, float]] = []
+        for term, draw in zip(self.terms, self.draw, strict=True):
+            first = int(draw.min())
+            found += [
+                (term.name, label, float(z[first + k]), float(sd[first + k]))
+                for k, label in enumerate(term.labels)
+            ]
+        return found
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         f = self.moved.values(p)
         return [

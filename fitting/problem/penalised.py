@@ -180,5 +180,10 @@ class PenalisedProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return self.data.weighted(columns)
 
+    def profiled_draws(
+        self, p: FloatArray, determined: NDArray[np.bool_]
+    ) -> list[tuple[str, int | None, float, float]]:
+        return self.data.profiled_draws(p, determined)
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         return self.data.shared_changes(p)

@@ -156,6 +156,14 @@ class Problem(Protocol):
     def weighted(self, columns: FloatArray) -> FloatArray:
         """Columns (N, k) times the inverse covariance of the samples."""
 
+    def profiled_draws(
+        self, p: FloatArray, determined: NDArray[np.bool_]
+    ) -> list[tuple[str, int | None, float, float]]:
+        """Name, group, estimate and standard uncertainty of every profiled draw where there is one.
+
+        `determined` (P,) are the unknowns that the data determine at the minimum p.
+        """
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         """Change (N,) of the samples by one standard deviation of each of their shared errors."""
 

@@ -226,6 +226,11 @@ class ReducedProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return self.whole.weighted(columns)
 
+    def profiled_draws(
+        self, p: FloatArray, determined: NDArray[np.bool_]
+    ) -> list[tuple[str, int | None, float, float]]:
+        return []
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         if not self.samples.shared:
             return []

@@ -295,6 +295,11 @@ class SingleProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return columns * self.inverse_variance[:, None]
 
+    def profiled_draws(
+        self, p: FloatArray, determined: NDArray[np.bool_]
+    ) -> list[tuple[str, int | None, float, float]]:
+        return []
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         if not self.samples.shared:
             return []

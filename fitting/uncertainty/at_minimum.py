@@ -7,38 +7,35 @@ from dataclasses import replace
 import numpy as np
 
 from gonio.fitting.minimum.minimise import at_lower
-from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.minimum.record import CHI2_95
-from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.minimum.record import CHI2_95, Minimum
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.correlated_parts import with_correlated_parts
 from gonio.fitting.uncertainty.profile_likelihood import around
 
 
-def uncertainties(
-    problem: Problem, optimum: Optimum, noise_scale: float
-) -> tuple[uncertainty.Uncertainty, list[str]]:
+def uncertainties(minimum: Minimum) -> tuple[uncertainty.Uncertainty, list[str]]:
     """Covariance at a minimum, without parameters of a lobe that may as well not be there.
 
     The list tells of each such lobe.
     """
-    errors = uncertainty.evaluate(problem, optimum, noise_scale)
-    errors = with_correlated_parts(problem, optimum, errors)
-    return _without_undetected(problem, optimum, errors)
+    errors = with_correlated_parts(minimum, uncertainty.evaluate(minimum))
+    return _without_undetected(minimum, errors)
 
 
 def _without_undetected(
-    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty
+    minimum: Minimum, errors: uncertainty.Uncertainty
 ) -> tuple[uncertainty.Uncertainty, list[str]]:
     """Parameters of a lobe whose amplitude may be zero have no uncertainty."""
+    problem, optimum = minimum.problem, minimum.optimum
     determined = errors.determined.copy()
     warnings = []
     for j, q in enumerate(problem.parameters):
         sd = np.sqrt(errors.covariance[j, j])
         if not (q.linear and errors.determined[j] and optimum.p[j] - q.lower < 4 * sd):
             continue
-        small, at, place = around(problem, optimum, j)
-        null = at_lower(small, at, int(np.flatnonzero(place == j)[0]))
+        small, k_small, place = around(minimum, j)
+        at = small.optimum
+        null = at_lower(small.problem, at, k_small)
         lost = np.zeros_like(determined)
         lost[place] = (np.diag(null.curvature) <= 0) & determined[place]
         gain = max(null.chi2 - at.chi2, 0.0) / max(errors.noise_scale, 1e-300) ** 2

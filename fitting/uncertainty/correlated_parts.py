@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gonio.fitting.minimum.curvature import inverse_curvature
-from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.geometry import FloatArray
@@ -18,7 +18,7 @@ SAME = 1e-3  # directions, as unit vectors, that are the same
 
 
 def with_correlated_parts(
-    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty
+    minimum: Minimum, errors: uncertainty.Uncertainty
 ) -> uncertainty.Uncertainty:
     """The covariance with residuals that all parts have in common counted once.
 
@@ -27,6 +27,7 @@ def with_correlated_parts(
     samples of parts k and l at one place have the covariance r_kl / sqrt(w_k w_l), and
     H^-1 (sum_kl r_kl J_k^T sqrt(W_k W_l) J_l) H^-1 takes the place of H^-1.
     """
+    problem, optimum = minimum.problem, minimum.optimum
     r = residual_correlation(problem, optimum.p)
     if r is None:
         return errors

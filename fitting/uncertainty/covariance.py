@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.minimum.curvature import inverse_curvature
-from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import (
     shared_change,
@@ -70,28 +70,17 @@ class Uncertainty:
         return parts
 
 
-def evaluate(
-    problem: Problem,
-    optimum: Optimum,
-    noise_scale: float,
-) -> Uncertainty:
-    """Covariance at a minimum.
-
-    Parameters
-    ----------
-    problem : Problem
-        With the weights that the minimum was found with.
-    optimum : Optimum
-    noise_scale : float
-        Factor by which the independent errors exceed what the weights say.
+def evaluate(minimum: Minimum) -> Uncertainty:
+    """Covariance at a minimum, its noise scale included.
 
     Notes
     -----
     Where the problem profiles shared errors the independent part is what the gain makes of the
     independent errors, so that all sources together are the covariance.
     """
+    problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     if not problem.quadratic:
-        return _sandwich(problem, optimum, noise_scale)
+        return _sandwich(minimum)
     determined, inverse = inverse_curvature(optimum)
     shared = {}
     if problem.samples.shared:
@@ -106,11 +95,12 @@ def evaluate(
     return Uncertainty(determined, independent, noise_scale, shared, problem.profiled)
 
 
-def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncertainty:
+def _sandwich(minimum: Minimum) -> Uncertainty:
     """Covariance where another loss than chi-squared was made small (Huber 1967).
 
     The scatter of the residuals stands for the noise, sample by sample, whatever the weights say.
     """
+    problem, optimum = minimum.problem, minimum.optimum
     p, law = optimum.p, problem.law
     f, jac = problem.jacobian(p)
     data = problem.samples.value, f, problem.inverse_variance, problem.cos_theta_r
@@ -124,7 +114,7 @@ def _sandwich(problem: Problem, optimum: Optimum, noise_scale: float) -> Uncerta
     squared = problem.with_weights(bread).as_least_squares()
     changes = [shared_change(problem, term, p, f) for term in problem.samples.shared]
     shared = _moves(squared, p, inverse, changes) if changes else {}
-    return Uncertainty(determined, inverse @ meat @ inverse, noise_scale, shared)
+    return Uncertainty(determined, inverse @ meat @ inverse, minimum.noise_scale, shared)
 
 
 def _moves(

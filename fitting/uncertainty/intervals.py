@@ -9,9 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.minimum.record import CHI2_95
-from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.minimum.record import CHI2_95, Minimum
 from gonio.fitting.result import Estimate
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.profile_limits import excluded
@@ -25,17 +23,18 @@ NEAR_BOUND = 2  # half-widths of an interval within which a bound is asked for b
 
 
 def estimated(
-    problem: Problem, optimum: Optimum, errors: uncertainty.Uncertainty, dof: int
+    minimum: Minimum, errors: uncertainty.Uncertainty
 ) -> tuple[dict[str, Estimate], list[str]]:
-    """Every parameter with its standard uncertainty and intervals; angles in radians."""
+    """Every unknown with its standard uncertainty and intervals; angles in radians."""
+    problem, optimum = minimum.problem, minimum.optimum
     # Where the scatter stands for the noise, few degrees of freedom widen the intervals.
     known_noise = problem.weights == "sd"
     quantiles = [
-        float(stats.norm.ppf(q) if known_noise else stats.t.ppf(q, dof))
+        float(stats.norm.ppf(q) if known_noise else stats.t.ppf(q, minimum.dof))
         for q in ((1 + level) / 2 for level in LEVELS)
     ]
     estimates, warnings = {}, []
-    bare = noiseless(problem, errors.noise_scale)
+    bare = noiseless(minimum)
     if bare:
         warnings.append(
             "the model leaves no residuals beyond rounding and the samples state no uncertainty: "
@@ -44,18 +43,18 @@ def estimated(
     for j, q in enumerate(problem.parameters):
         value = float(optimum.p[j])
         if value in (q.lower, q.upper):
-            estimates[q.name], text = _at_bound(problem, optimum, j, errors.noise_scale)
+            estimates[q.name], text = _at_bound(minimum, j)
             warnings.append(text)
             continue
         if j in optimum.limited:
-            estimates[q.name] = _along_sum(problem, optimum, j, errors.noise_scale)
+            estimates[q.name] = _along_sum(minimum, j)
             continue
         estimate = Estimate(value, None, q.unit, None, None, None)
         if errors.determined[j] and bare:
             estimates[q.name] = estimate
             continue
         if errors.determined[j]:
-            estimate = _inside(problem, optimum, errors, j, quantiles)
+            estimate = _inside(minimum, errors, j, quantiles)
         if estimate.interval_95 is None:
             warnings.append(
                 f"{q.name} is not determined by these data: its value is arbitrary and it has no "
@@ -65,17 +64,17 @@ def estimated(
     return estimates, warnings
 
 
-def noiseless(problem: Problem, noise_scale: float) -> bool:
+def noiseless(minimum: Minimum) -> bool:
     """Whether rounding is all that the residuals hold and nobody stated the noise."""
+    problem = minimum.problem
     if problem.weights == "sd" or problem.samples.shared:
         return False
     size = np.sqrt(np.mean(problem.samples.value**2 * problem.inverse_variance))
-    return bool(noise_scale <= ROUNDING * size)
+    return bool(minimum.noise_scale <= ROUNDING * size)
 
 
 def _inside(
-    problem: Problem,
-    optimum: Optimum,
+    minimum: Minimum,
     errors: uncertainty.Uncertainty,
     j: int,
     quantiles: list[float],
@@ -85,8 +84,8 @@ def _inside(
     Where an end of an interval leaves the bounds the curvature is no guide any more: that end is
     looked for on the profile of chi-squared.
     """
-    q = problem.parameters[j]
-    value = float(optimum.p[j])
+    q = minimum.problem.parameters[j]
+    value = float(minimum.optimum.p[j])
     stderr = float(np.sqrt(errors.covariance[j, j]))
     intervals = []
     for t, level in zip(quantiles, LEVELS, strict=True):
@@ -97,11 +96,11 @@ def _inside(
             own = errors.of_likelihood[j, j]
             unit = (errors.noise_scale * stderr) ** 2 / own if own > 0 else 0.0
             if side * (value + NEAR_BOUND * side * t * stderr - bound) >= 0 and not excluded(
-                problem, optimum, j, bound, unit, level
+                minimum, j, bound, unit, level
             ):
                 end = bound
             elif side * (value + side * t * stderr - bound) >= 0:
-                end = bound_limit(problem, optimum, j, t**2, errors.noise_scale, side=side)
+                end = bound_limit(minimum, j, t**2, side=side)
             ends.append(bound if end is None else end)
         intervals.append((ends[0], ends[1]))
     if intervals[1] == (q.lower, q.upper):
@@ -119,29 +118,28 @@ def _inside(
     )
 
 
-def _along_sum(problem: Problem, optimum: Optimum, j: int, scale: float) -> Estimate:
+def _along_sum(minimum: Minimum, j: int) -> Estimate:
     """A reflectance whose sum with others is held at 1: it grows as far as those give way."""
-    q = problem.parameters[j]
+    q = minimum.problem.parameters[j]
     intervals = []
     for increase in (1.0, CHI2_95):
-        ends = [bound_limit(problem, optimum, j, increase, scale, side=side) for side in (-1, 1)]
+        ends = [bound_limit(minimum, j, increase, side=side) for side in (-1, 1)]
         low, high = (
             bound if end is None else end
             for end, bound in zip(ends, (q.lower, q.upper), strict=True)
         )
         intervals.append((low, high))
-    return Estimate(float(optimum.p[j]), None, q.unit, "upper", intervals[0], intervals[1])
+    value = float(minimum.optimum.p[j])
+    return Estimate(value, None, q.unit, "upper", intervals[0], intervals[1])
 
 
-def _at_bound(problem: Problem, optimum: Optimum, j: int, scale: float) -> tuple[Estimate, str]:
+def _at_bound(minimum: Minimum, j: int) -> tuple[Estimate, str]:
     """A parameter at its bound: one-sided limits from the profile of chi-squared, no stderr."""
-    q = problem.parameters[j]
-    value = float(optimum.p[j])
+    q = minimum.problem.parameters[j]
+    value = float(minimum.optimum.p[j])
     at_bound: Literal["lower", "upper"] = "lower" if value == q.lower else "upper"
     side = 1 if at_bound == "lower" else -1
-    limits = [
-        bound_limit(problem, optimum, j, increase, scale, side=side) for increase in (1.0, CHI2_95)
-    ]
+    limits = [bound_limit(minimum, j, increase, side=side) for increase in (1.0, CHI2_95)]
     far = q.upper if side > 0 else q.lower
     intervals = []
     for limit in limits:

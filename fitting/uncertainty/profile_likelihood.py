@@ -8,28 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.minimum.minimise import minimise, pinned_at
-from gonio.fitting.minimum.optimum import Optimum
-from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.minimum.record import Minimum
 from gonio.geometry import FloatArray
 
 
-def around(
-    problem: Problem, optimum: Optimum, j: int
-) -> tuple[Problem, Optimum, NDArray[np.int64]]:
-    """The smallest problem in which parameter j can be followed, its minimum, and the places of
-    its parameters in the whole."""
+def around(minimum: Minimum, j: int) -> tuple[Minimum, int, NDArray[np.int64]]:
+    """The smallest problem in which parameter j can be followed, at its minimum.
+
+    With the number of the parameter there, and the places of its parameters in the whole.
+    """
+    problem, optimum = minimum.problem, minimum.optimum
     small, place = problem.around(optimum.p, optimum.curvature, j)
+    at = int(np.flatnonzero(place == j)[0])
     if small is problem:
-        return problem, optimum, place
+        return minimum, at, place
     p = optimum.p[place]
     chi2, g, h = small.normal_equations(p)
-    return small, replace(optimum, p=p, chi2=chi2, gradient=g, curvature=h,
-                          free=optimum.free[place]), place  # fmt: skip
+    own = replace(optimum, p=p, chi2=chi2, gradient=g, curvature=h, free=optimum.free[place])
+    return minimum.at(small, own), at, place
 
 
 def profile_limit(
-    problem: Problem,
-    optimum: Optimum,
+    minimum: Minimum,
     j: int,
     increase: float,
     *,
@@ -46,8 +46,8 @@ def profile_limit(
     side : {1, -1}
         +1 upwards, -1 downwards.
     """
-    problem, optimum, place = around(problem, optimum, j)
-    j = int(np.flatnonzero(place == j)[0])
+    minimum, j, _ = around(minimum, j)
+    problem, optimum = minimum.problem, minimum.optimum
     parameter = problem.parameters[j]
     near, far = float(optimum.p[j]), parameter.upper if side > 0 else parameter.lower
 
@@ -70,13 +70,12 @@ def profile_limit(
     return (low + high) / 2
 
 
-def profile(problem: Problem, optimum: Optimum, j: int, points: FloatArray) -> FloatArray:
+def profile(minimum: Minimum, j: int, points: FloatArray) -> FloatArray:
     """Smallest chi-squared with parameter j held at each of the points, the others free.
 
     Parameters
     ----------
-    problem : Problem
-    optimum : Optimum
+    minimum : Minimum
     j : int
         Number of the parameter.
     points : ndarray, shape (K,)
@@ -87,6 +86,7 @@ def profile(problem: Problem, optimum: Optimum, j: int, points: FloatArray) -> F
     ndarray, shape (K,)
         Each point starts from the minimum of its neighbour towards the optimum.
     """
+    problem, optimum = minimum.problem, minimum.optimum
     chi2 = np.empty(len(points))
     order = np.argsort(points)
     at = int(np.searchsorted(points[order], optimum.p[j]))

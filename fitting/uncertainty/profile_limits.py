@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gonio.fitting.minimum.minimise import minimise, pinned_at
 from gonio.fitting.minimum.optimum import Optimum
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.uncertainty.covariance import evaluate
@@ -18,11 +21,9 @@ SMALL = 1e-3  # part of the shared errors that changes no limit
 
 
 def limit(
-    problem: Problem,
-    optimum: Optimum,
+    minimum: Minimum,
     j: int,
     increase: float,
-    noise_scale: float,
     *,
     side: int,
 ) -> float | None:
@@ -30,14 +31,11 @@ def limit(
 
     Parameters
     ----------
-    problem : Problem
-    optimum : Optimum
+    minimum : Minimum
     j : int
         Number of the parameter.
     increase : float
         Of chi-squared in units of its variance, for instance 3.84.
-    noise_scale : float
-        Factor on the independent uncertainties.
     side : {1, -1}
         +1 upwards, -1 downwards.
 
@@ -50,27 +48,25 @@ def limit(
     bound it may have no derivative, and a ratio of variances does not depend on how the parameter
     is written.
     """
-    problem, optimum, place = around(problem, optimum, j)
-    j = int(np.flatnonzero(place == j)[0])
-    unit = noise_scale**2
-    end = profile_limit(problem, optimum, j, increase * unit, side=side)
+    minimum, j, _ = around(minimum, j)
+    problem = minimum.problem
+    unit = minimum.noise_scale**2
+    end = profile_limit(minimum, j, increase * unit, side=side)
     if not _propagated(problem):
         return end
     before = 0.0
     for _ in range(ROUNDS):
         at = problem.parameters[j].upper if end is None and side > 0 else end
         at = problem.parameters[j].lower if at is None else at
-        k = _shared_part(problem, optimum, j, at, noise_scale)
+        k = _shared_part(minimum, j, at)
         if abs(k - before) <= SMALL * (1 + k):
             break
         before = k
-        end = profile_limit(problem, optimum, j, increase * unit * (1 + k), side=side)
+        end = profile_limit(minimum, j, increase * unit * (1 + k), side=side)
     return end
 
 
-def excluded(
-    problem: Problem, optimum: Optimum, j: int, value: float, unit: float, level: float
-) -> bool:
+def excluded(minimum: Minimum, j: int, value: float, unit: float, level: float) -> bool:
     """Whether the data speak against parameter j having a value, with this confidence.
 
     Near a bound at which f has no derivative by the parameter (it may act by its square) the
@@ -87,8 +83,8 @@ def excluded(
     """
     from scipy import stats
 
-    problem, optimum, place = around(problem, optimum, j)
-    j = int(np.flatnonzero(place == j)[0])
+    minimum, j, _ = around(minimum, j)
+    problem, optimum = minimum.problem, minimum.optimum
     start = np.where(np.arange(len(optimum.p)) == j, value, optimum.p)
     held = minimise(pinned_at(problem, j, value), start, search=False)
     p = np.where(np.arange(len(start)) == j, value, held.p)
@@ -103,17 +99,17 @@ def _propagated(problem: Problem) -> bool:
     return any(term.name not in problem.profiled for term in problem.samples.shared)
 
 
-def _shared_part(
-    problem: Problem, optimum: Optimum, j: int, value: float, noise_scale: float
-) -> float:
+def _shared_part(minimum: Minimum, j: int, value: float) -> float:
     """Variance of parameter j by shared errors over that by independent ones, at a value of it."""
+    problem, optimum = minimum.problem, minimum.optimum
     start = np.where(np.arange(len(optimum.p)) == j, value, optimum.p)
     p: FloatArray = minimise(pinned_at(problem, j, value), start, search=False).p
     some = thinned(problem.independent, MOST)
     chi2, gradient, curvature = some.normal_equations(p)
     free = optimum.free | (np.arange(len(p)) == j)
     here = Optimum(p, chi2, gradient, curvature, free, 0, True)
-    errors = evaluate(some, here, noise_scale * float(np.sqrt(some.n / problem.n)))
+    scale = minimum.noise_scale * float(np.sqrt(some.n / problem.n))
+    errors = evaluate(replace(minimum.at(some, here), noise_scale=scale))
     if not errors.determined[j] or errors.independent[j, j] <= 0:
         return 0.0
     shared = sum(

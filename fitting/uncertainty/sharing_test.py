@@ -37,7 +37,7 @@ def sharing_test(
         apart.append(better(own, other))
         growth += max(part.chi2(optimum.p[place]) - apart[-1].chi2, 0.0)
     separate = JointProblem.from_parts(channels, problem.parts, ())
-    errors = uncertainty.evaluate(separate, _stacked(apart), 1.0)
+    errors = uncertainty.evaluate(Minimum.of(separate, _stacked(apart), 1.0))
     names = tuple(q.name for q in problem.parameters if q.name == base_name(q.name))
     dof = sum(_rank(own) for own in apart) - _rank(optimum)
     p_value = None

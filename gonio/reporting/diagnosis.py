@@ -10,6 +10,10 @@ import numpy as np
 import gonio.models as models
 from gonio.errors import GonioError
 from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.problem.constraints import Constraints
+from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.reduced import ReducedProblem
 from gonio.fitting.problem.shared_columns import thinned
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result import FitResult
@@ -108,16 +112,29 @@ def profiles(inputs: Inputs) -> Chart | None:
         return None
     model = models.of_fit(fit)
     try:
-        problem = SingleProblem.from_samples(samples, model, fit.weights)  # type: ignore[arg-type]
+        problem: Problem = SingleProblem.from_samples(
+            samples,
+            model,
+            fit.weights,  # type: ignore[arg-type]
+        )
     except GonioError:
         return None
-    p = model.vector(fit.values())
+    values = fit.parameters.items()
+    held = Constraints.of(
+        model,
+        {name: e.value for name, e in values if e.fixed and e.tied_to is None},
+        {name: e.tied_to for name, e in values if e.tied_to is not None},
+    )
+    if held:
+        problem = ReducedProblem.of(problem, held)
+    p = problem.vector({q.name: fit.parameters[q.name].value for q in problem.parameters})
     whole = problem.n
     problem = thinned(problem.reweighted(p), PROFILED)
     optimum = minimise(problem, p, search=False)
+    minimum = Minimum.of(problem, optimum)
     unit = fit.noise_scale**2 * problem.n / whole
     views = []
-    for j, q in enumerate(model.parameters):
+    for j, q in enumerate(problem.parameters):
         estimate = fit.parameters[q.name]
         if estimate.interval_95 is None:
             continue
@@ -126,7 +143,7 @@ def profiles(inputs: Inputs) -> Chart | None:
         # Fewer samples have their minimum elsewhere: the profile is drawn about their own.
         points = np.linspace(middle - half, middle + half, POINTS) + optimum.p[j] - p[j]
         points = np.unique(np.clip(np.append(points, optimum.p[j]), q.lower, q.upper))
-        growth = (profile(problem, optimum, j, points) - optimum.chi2) / unit
+        growth = (profile(minimum, j, points) - optimum.chi2) / unit
         x = [q.to_file(float(v - optimum.p[j] + p[j])) for v in points]
         views.append(View(q.name, [_curve(x, growth)], _levels(named(q))))
     if not views:

@@ -16,10 +16,8 @@ from gonio.fitting.minimum.joint import find_joint_minimum
 from gonio.fitting.minimum.nuisance import profiled
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import predictive
-from gonio.fitting.posterior.at_minimum import (
-    Progress,
-    sampled,
-)
+from gonio.fitting.posterior.at_minimum import sampled
+from gonio.fitting.posterior.chain import Progress
 from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.constraints import Constraints
@@ -138,6 +136,7 @@ def fit(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from gonio.geometry import Directions
     >>> theta = np.linspace(0, 1.2, 20)
     >>> samples = BRDFSamples(Directions(0.3 * np.ones(20), 0.0, theta, 0.0), 0.1 + 0 * theta)

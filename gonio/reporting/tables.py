@@ -13,7 +13,7 @@ import numpy as np
 from gonio.fitting.result import Estimate, FitResult
 
 if TYPE_CHECKING:
-    from gonio.fitting.comparison.compare import Comparison
+    from gonio.fitting.comparison.records import Comparison
 
 _ESCAPED = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "_": r"\_", "&": r"\&", "%": r"\%",

@@ -123,3 +123,19 @@ def test_priors_given_in_python_hold_radians():
     given = resolve(model.parameters, {"sigma": "normal(0.35, 0.1)"})
     assert given[model.names.index("sigma")] == Prior("normal", 0.35, 0.1)
     assert parse(sigma, "normal(20, 5)") == Prior("normal", np.radians(20), np.radians(5))
+
+
+def test_a_comparison_holds_radians_and_writes_degrees():
+    from gonio.fitting.comparison.compare import compare
+
+    model = models.get("oren_nayar")
+    rng = np.random.default_rng(1)
+    f = model(DATA, rho=0.8, sigma=0.4)
+    samples = BRDFSamples(DATA, f * (1 + 0.01 * rng.standard_normal(len(f))), 0.01 * f)
+    found = compare(samples, ["oren_nayar", "lambert"])
+    entry = found.entry("oren_nayar")
+    assert entry.values["sigma"] == pytest.approx(0.4, rel=0.2)
+    assert entry.priors["sigma"] == (model.parameter("sigma").lower, model.parameter("sigma").upper)
+    written = next(e for e in found.to_dict()["entries"] if e["model"] == "oren_nayar")
+    assert written["values"]["sigma"] == np.degrees(entry.values["sigma"])
+    assert "units" not in written

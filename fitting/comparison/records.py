@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -51,11 +52,11 @@ class Entry:
     chi2, dof : float, int
         Of the model's own fit.
     values : mapping of str to float
-        Fitted parameters in the unit of files.
+        Fitted parameters, angles in radians.
     at_bound, undetermined : tuple of str
         Parameters on a bound, or in a sum that is, and others about which the data say nothing.
     priors : mapping of str to tuple of float
-        Bounds between which the prior of the evidence is flat, in the unit of files.
+        Bounds between which the prior of the evidence is flat, angles in radians.
     held_out : Score or None
         Over groups of samples of one incidence, each predicted from all others.
     held_out_by_group : tuple of float, or None
@@ -68,6 +69,8 @@ class Entry:
         Natural logarithm, with its error from the sampling.
     notes : tuple of str
         Why something is None, and what to mistrust.
+    units : mapping of str to str
+        "rad" for angles.
     """
 
     model: str
@@ -86,6 +89,17 @@ class Entry:
     log_evidence: float | None
     log_evidence_stderr: float | None
     notes: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry as plain data, angles in degrees."""
+        data = asdict(self)
+        for name, unit in data.pop("units").items():
+            if unit == "rad":
+                data["values"][name] = math.degrees(data["values"][name])
+                if name in data["priors"]:
+                    data["priors"][name] = tuple(map(math.degrees, data["priors"][name]))
+        return data
 
 
 @dataclass(frozen=True)
@@ -145,8 +159,9 @@ class Comparison:
         return next(e for e in self.entries if e.model == model)
 
     def to_dict(self) -> dict[str, Any]:
-        """The comparison as plain data of schema gonio.compare/1."""
+        """The comparison as plain data of schema gonio.compare/1, angles in degrees."""
         data = {"schema": SCHEMA, **asdict(self)}
+        data["entries"] = tuple(entry.to_dict() for entry in self.entries)
         # Only a comparison with constraints says so.
         return {k: v for k, v in data.items() if v or k not in ("fixed", "tied")}
 

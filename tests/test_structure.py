@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib.util
 import json
 import os
@@ -566,11 +567,10 @@ def test_constraints_pin_every_package_with_hashes() -> None:
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
-def block_of(language: str) -> str:
-    """The first block of CONTRIBUTING.md in this language."""
-    block = re.search(rf"^```{language}\n(.*?)^```", CONTRIBUTING, re.DOTALL | re.MULTILINE)
-    assert block is not None
-    return block[1]
+def block_of(language: str, which: int = 0) -> str:
+    """A block of CONTRIBUTING.md in this language: the first, or that after so many."""
+    found = re.findall(rf"^```{language}\n(.*?)^```", CONTRIBUTING, re.DOTALL | re.MULTILINE)
+    return str(found[which])
 
 
 @pytest.fixture(scope="module")
@@ -625,7 +625,7 @@ print(*model.plain(w_i, w_r, p), model.evaluate(w_i, w_r, p))
 
 
 def test_one_file_is_a_model_for_every_command(one_more: Path, tmp_path: Path) -> None:
-    _, *commands = re.split(r"^\$ ", block_of("console"), flags=re.MULTILINE)
+    _, *commands = re.split(r"^\$ ", block_of("console", 1), flags=re.MULTILINE)
     printed = {
         command.split()[1]: run_with(one_more, ["bash", "-euc", command], tmp_path)
         for command in commands
@@ -689,3 +689,66 @@ def test_no_test_file_leans_on_another() -> None:
                 if name.split(".")[0] == "tests" or name.startswith("test_")
             ]
     assert not found, "\n".join(found)
+
+
+# ---------------------------------------------------------------- the same file outside the package
+
+
+@pytest.fixture(scope="module")
+def outside(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a package that announces the example's model is installed."""
+    site = tmp_path_factory.mktemp("outside")
+    (site / "lab_paints.py").write_text(block_of("python"), encoding="utf-8")
+    info = site / "lab_paints-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab_paints\nVersion: 1.0\n")
+    announced = tomllib.loads(block_of("toml"))["project"]["entry-points"]["gonio.models"]
+    lines = [f"{name} = {value}\n" for name, value in announced.items()]
+    (info / "entry_points.txt").write_text("[gonio.models]\n" + "".join(lines))
+    return site
+
+
+def test_a_file_outside_is_a_model_for_every_command(tmp_path: Path) -> None:
+    (tmp_path / "lommel_seeliger.py").write_text(block_of("python"), encoding="utf-8")
+    _, *commands = re.split(r"^\$ ", block_of("console"), flags=re.MULTILINE)
+    printed = {
+        command.split()[1]: run_with(tmp_path, ["bash", "-euc", command], tmp_path)
+        for command in commands
+    }
+    assert list(printed) == [">", "models", "evaluate", "fit", "plot", "report", "check"]
+    assert "from: lommel_seeliger.py" in printed["models"]
+    assert "f = w / (4 pi (cos theta_i + cos theta_r))" in printed["models"]
+    fit = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert fit["status"] == "converged"
+    assert fit["parameters"]["w"]["value"] == pytest.approx(0.2, rel=1e-9)
+    digest = hashlib.sha256((tmp_path / "lommel_seeliger.py").read_bytes()).hexdigest()
+    assert fit["model_source"] == {"file": "lommel_seeliger.py", "sha256": digest}
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert "lommel_seeliger" in (tmp_path / "fit.html").read_text(encoding="utf-8")
+    assert "The model keeps what it claims." in printed["check"]
+
+
+def test_the_function_of_arrays_in_contributing_is_the_same_model(tmp_path: Path) -> None:
+    names: dict[str, object] = {}
+    exec(block_of("python", 1), names)
+    from gonio.geometry import Directions
+    from gonio.models import Model
+
+    model = names["MODEL"]
+    assert isinstance(model, Model)
+    # f = w / (4 pi (cos theta_i + cos theta_r)) with both at 60 deg
+    f = float(model(Directions(np.pi / 3, 0.0, np.pi / 3, 1.0), w=0.5))
+    assert f == pytest.approx(0.5 / (4 * np.pi), rel=1e-12)
+
+
+def test_a_package_that_announces_a_model_is_seen_and_keeps_the_contract(outside: Path) -> None:
+    listed = run_with(outside, ["gonio", "models", "--json"], outside)
+    (found,) = [each for each in json.loads(listed) if each["name"] == "lommel_seeliger"]
+    assert found["origin"] == "lab_paints 1.0"
+    words = ["-m", "pytest", "-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), "-q"]
+    words += ["-p", "no:cacheprovider", "-k", "lommel_seeliger"]
+    tests = str(ROOT / "tests" / "test_models_contract.py")
+    summary = run_with(outside, [sys.executable, *words, tests], outside).splitlines()[-1]
+    passed = re.match(r"(\d+) passed", summary)
+    assert passed is not None, summary
+    assert int(passed[1]) >= 15

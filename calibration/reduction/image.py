@@ -22,8 +22,8 @@ Progress = Callable[[int, int], None]
 
 
 def cells_of_session(
-    readers: Sequence[FrameReader],
     table: PixelTable,
+    readers: Sequence[FrameReader],
     *,
     retro: bool,
     threads: int | None,
@@ -33,9 +33,9 @@ def cells_of_session(
 
     Parameters
     ----------
+    table : PixelTable
     readers : sequence of FrameReader
         One for each channel.
-    table : PixelTable
     retro : bool
         Cells of the lamp's entry patch too, after those of the same image.
     threads : int, optional

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 from gonio.calibration import effects
 from gonio.calibration.dome import geometry_file
 from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.calibration.faults.session import inspected
-from gonio.calibration.frames.reader import FrameReader
-from gonio.calibration.image_cells import ImageCells
 from gonio.calibration.reduction.image import Progress, cells_of_session
 from gonio.calibration.reduction.pixel_table import PixelTable
 from gonio.calibration.reduction.samples import samples_of
@@ -94,10 +92,8 @@ def reduce(
     metadata, pixel_map, held = _located(session.metadata, mapping, geometry)
     table = PixelTable.of(metadata, pixel_map)
 
-    def cells(readers: Sequence[FrameReader]) -> list[ImageCells]:
-        return cells_of_session(readers, table, retro=retro, threads=threads, progress=progress)
-
-    images, findings = inspected(session, metadata, table.theta_r, table.phi_r, cells, force=force)
+    work = partial(cells_of_session, table, retro=retro, threads=threads, progress=progress)
+    images, findings = inspected(session, metadata, table.theta_r, table.phi_r, work, force=force)
     samples = samples_of(metadata, pixel_map, effects.corrected(metadata, images))
     lines = [finding.line for finding in findings]
     if held:

@@ -81,8 +81,7 @@ def _joined_terms(channels: Sequence[Channel]) -> tuple[SharedTerm, ...]:
 
 def _identity(term: SharedTerm, channel: Channel) -> tuple[Any, ...]:
     """Terms with the same identity are one error."""
-    of_instrument = term.moves_directions or term.group is None
-    owner = str(channel.samples.metadata.get("instrument")) if of_instrument else channel.source
+    owner = str(channel.samples.metadata.get("instrument")) if term.of_rig else channel.source
     return (owner, term.name, term.meaning, term.relative, term.blur, term.turn)
 
 

@@ -428,9 +428,7 @@ def _draws(terms: Sequence[SharedTerm], n: int) -> tuple[NDArray[np.int64], int]
     """Number of each sample's draw of each term (terms, N), counted through; how many there are."""
     draw, total = np.zeros((len(terms), n), np.int64), 0
     for row, term in zip(draw, terms, strict=True):
-        if term.group is not None:
-            row[:] = np.unique(term.group, return_inverse=True)[1]
-        row += total
+        row[:] = term.draw(n) + total
         total = int(row.max()) + 1
     return draw, total
 

@@ -27,15 +27,9 @@ def shared_columns(problem: Problem, p: FloatArray, f: FloatArray) -> Any:
     """
     from scipy.sparse import csr_array, hstack
 
-    rows = np.arange(problem.n)
     parts = [csr_array((problem.n, 0))]
     for term in problem.samples.shared:
-        change = shared_change(problem, term, p, f)
-        group = np.zeros(problem.n, dtype=np.int64)
-        if term.group is not None:
-            group = np.unique(term.group, return_inverse=True)[1].astype(np.int64)
-        shape = (problem.n, int(group.max(initial=0)) + 1)
-        parts.append(csr_array((change, (rows, group)), shape=shape))
+        parts.append(term.columns(shared_change(problem, term, p, f)))
     return csr_array(hstack(parts))
 
 

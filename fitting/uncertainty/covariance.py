@@ -123,11 +123,7 @@ def _moves(
     """Parameter changes for one standard deviation of every draw of every term, (groups, P)."""
     terms = []
     for term, change in zip(problem.samples.shared, changes, strict=True):
-        group = np.zeros(problem.n, np.int64)
-        if term.group is not None:
-            group = np.unique(term.group, return_inverse=True)[1]
-        moves = np.zeros((int(group.max()) + 1, len(p)))
-        terms.append((change, group, moves))
+        terms.append((change, term.draw(problem.n), np.zeros((term.n_draws, len(p)))))
     for piece, where, place in problem.pieces():
         weighted = piece.weighted(piece.jacobian(p[place])[1])
         for change, group, moves in terms:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import re
 import subprocess
@@ -18,6 +20,7 @@ sys.path.insert(0, str(NOTEBOOKS))
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
 
 import _common  # noqa: E402
+import notebook_files  # noqa: E402
 import notebook_pages  # noqa: E402
 import run  # noqa: E402
 
@@ -77,7 +80,10 @@ def test_every_row_of_a_notebook_is_as_expected(name, quick, monkeypatch, capsys
     assert f"{len(rows)} rows, 0 not as expected" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", run.notebooks())
+LESSONS = sorted(f"lessons/{path.stem}" for path in (NOTEBOOKS / "lessons").glob("*.py"))
+
+
+@pytest.mark.parametrize("name", [*run.notebooks(), *LESSONS])
 def test_a_notebook_is_a_percent_script_without_output(name):
     script = (NOTEBOOKS / f"{name}.py").read_text(encoding="utf-8")
     assert script.startswith(HEADER)
@@ -230,3 +236,66 @@ def test_a_page_shows_text_code_figures_and_rows(tmp_path):
     assert "[Title *here*](toy.md)" in (pages / "index.md").read_text(encoding="utf-8")
     shown = (pages / "agreement.txt").read_text(encoding="utf-8")
     assert "## P\n\n**[Title *here*](_generated/papers/toy.md)**\n\n| item |" in shown
+
+
+def test_the_page_of_a_notebook_has_the_notebook_with_its_output(tmp_path):
+    notebooks, papers, pages = (tmp_path / name for name in ("notebooks", "papers", "pages"))
+    for folder in (notebooks, papers / "toy", pages):
+        folder.mkdir(parents=True)
+    script = (
+        f"{HEADER}\n# %% [markdown]\n# # Title\n#\n# See [errata](../docs/errata.md).\n\n"
+        '# %% tags=["hide-input"]\nnb.figure(fig, "one", "Shows.")\n\n'
+        '# %%\nnb.table("two", head, rows)\n'
+    )
+    (notebooks / "toy.py").write_text(script, encoding="utf-8")
+    (papers / "toy" / "one.png").write_bytes(b"png")
+    (papers / "toy" / "two.md").write_text("| a |\n", encoding="utf-8")
+    notebook_pages.write(pages, notebooks, papers)
+    assert "{download}`toy.ipynb`" in (pages / "toy.md").read_text(encoding="utf-8")
+    document = json.loads((pages / "toy.ipynb").read_text(encoding="utf-8"))
+    require_format_4(document)
+    text, figure, table = document["cells"]
+    assert "".join(text["source"]).startswith("# Title\n\nSee errata.")  # a link would lead nowhere
+    assert figure["metadata"] == {"tags": ["hide-input"]}
+    assert base64.b64decode(figure["outputs"][0]["data"]["image/png"]) == b"png"
+    assert table["outputs"][0]["data"]["text/markdown"] == ["| a |\n"]
+
+
+def require_format_4(document):
+    """What nbformat's schema of version 4.5 asks for."""
+    assert (document["nbformat"], document["nbformat_minor"]) == (4, 5)
+    assert set(document) == {"cells", "metadata", "nbformat", "nbformat_minor"}
+    assert document["metadata"]["kernelspec"]["name"] == "python3"
+    assert len({cell["id"] for cell in document["cells"]}) == len(document["cells"])
+    for cell in document["cells"]:
+        own = {"execution_count", "outputs"} if cell["cell_type"] == "code" else set()
+        assert set(cell) == {"cell_type", "id", "metadata", "source"} | own
+        assert isinstance(cell["source"], list)
+        for output in cell.get("outputs", ()):
+            streams = {"output_type", "name", "text"}, {"output_type", "data", "metadata"}
+            assert set(output) == streams[output["output_type"] != "stream"]
+
+
+def test_cells_show_what_jupyter_would():
+    first = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nprint('said')\n1 + 1"
+    outputs = notebook_files.executed([first, "x = 3", "x"], "toy")
+    assert [output.kind for output in outputs[0]] == ["text/plain", "text/plain", "image/png"]
+    assert [output.text for output in outputs[0][:2]] == ["said\n", "2"]
+    assert outputs[1:] == [[], [notebook_files.Output("text/plain", "3")]]
+    with pytest.raises(RuntimeError, match=r"toy, code cell 2: NameError"):
+        notebook_files.executed(["x = 1", "y"], "toy")
+
+
+@pytest.mark.parametrize("name", LESSONS)
+def test_a_lesson_runs_and_shows_its_results(name, tmp_path):
+    script = (NOTEBOOKS / f"{name}.py").read_text(encoding="utf-8")
+    notebook_pages.write_lesson(tmp_path, Path(name).name, script)
+    document = json.loads((tmp_path / f"{Path(name).name}.ipynb").read_text(encoding="utf-8"))
+    require_format_4(document)
+    code = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["outputs"] for cell in code[1:])  # all but the imports show something
+    pictures = [o for cell in code for o in cell["outputs"] if "image/png" in o.get("data", {})]
+    assert len(pictures) >= 3
+    page = (tmp_path / f"{Path(name).name}.md").read_text(encoding="utf-8")
+    assert page.count("![") == len(pictures)
+    assert not re.search(r"\]\([^)]*\.py\)", page)

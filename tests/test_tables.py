@@ -127,8 +127,8 @@ def test_the_comparison_as_csv_and_latex(run, folder):
     rows = read(out)
     assert code in (0, 1)
     assert [row["model"] for row in rows] == ["oren_nayar", "lambert"]  # the best first
-    assert float(rows[0]["held_out_difference"]) == 0
-    assert float(rows[1]["held_out_difference"]) < 0
+    assert float(rows[0]["loo_difference"]) == 0
+    assert float(rows[1]["loo_difference"]) < 0
     code, out, _ = run(*words, "--latex")
     assert "oren\\_nayar & 2 & " in out
     assert out.endswith("\\end{tabular}\n")

@@ -1,12 +1,14 @@
 """Pages of the notebooks, made from their percent scripts and the results of the last full run.
 
 A markdown cell becomes text, a code cell becomes code, and behind it stand the figures and tables
-that it writes, from docs/papers/. Nothing runs when the site is built: `make papers` does that.
+that it writes, from docs/papers/: `make papers` makes them. The lessons in notebooks/lessons/ run
+when the site is built. Each page has its notebook with output as a file to download.
 """
 
 from __future__ import annotations
 
 import ast
+import base64
 import csv
 import re
 import shutil
@@ -15,11 +17,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from model_pages import escape
+from notebook_files import HTML, MARKDOWN, PNG, Output, document, executed, picture
 
 CELL = re.compile(r"^# %%(?P<rest>.*)$", re.MULTILINE)
 HIDDEN = "hide-input"  # tag of a cell whose code is folded, such as one that draws
-HOW = """*This page is made from a percent script of the sources, which runs as it stands,
-in Jupyter or by `python notebooks/{name}.py`.*"""
+HOW = """Download {{download}}`{name}.ipynb`, this page as a notebook with its output. *It is made
+from a percent script of the sources, which runs as it stands: `python notebooks/{name}.py`.*"""
+LESSON = """Download {{download}}`{name}.ipynb`, this page as a notebook with its output. It runs
+wherever gonio is installed."""
+NOTE = """*The output is that of the last full run. The notebook runs in the folder `notebooks` of
+gonio's sources.*"""
+LESSON_NOTE = "*It runs wherever gonio is installed.*"
 
 
 @dataclass(frozen=True)
@@ -95,17 +103,66 @@ def write(folder: Path, notebooks: Path, papers: Path) -> list[str]:
     rows = read(papers / "agreement.csv")
     names = sorted(p.stem for p in notebooks.glob("[!_]*.py") if p.stem != "run")
     titles = {}
+    for path in sorted((notebooks / "lessons").glob("*.py")):
+        script = path.read_text(encoding="utf-8")
+        titles[path.stem] = title_of(script)
+        write_lesson(folder, path.stem, script)
     for name in names:
         script = (notebooks / f"{name}.py").read_text(encoding="utf-8")
         titles[name] = title_of(script)
-        for picture in sorted((papers / name).glob("*.png")):
-            shutil.copyfile(picture, folder / f"{name}_{picture.name}")
+        for path in sorted((papers / name).glob("*.png")):
+            shutil.copyfile(path, folder / f"{name}_{path.name}")
         own = [row for row in rows if row["notebook"] == name]
         text = "\n\n".join(page(name, script, papers / name, own))
         (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
+        every = cells(script)
+        made = [list(outputs(c.source, papers / name)) for c in every if not c.markdown]
+        (folder / f"{name}.ipynb").write_text(document(every, made, NOTE), encoding="utf-8")
     (folder / "agreement.txt").write_text(agreement(rows, titles) + "\n", encoding="utf-8")
     (folder / "index.md").write_text(index(titles) + "\n", encoding="utf-8")
     return names
+
+
+def write_lesson(folder: Path, name: str, script: str) -> None:
+    """Run a lesson; write its page and its notebook, both with what the cells show."""
+    every = cells(script)
+    made = executed([cell.source for cell in every if not cell.markdown], name)
+    (folder / f"{name}.ipynb").write_text(document(every, made, LESSON_NOTE), encoding="utf-8")
+    parts = []
+    of_code = iter(made)
+    number = 0
+    for k, cell in enumerate(every):
+        if cell.markdown:
+            parts.append(relinked(cell.source))
+            parts += [LESSON.format(name=name)] if k == 0 else []
+            continue
+        parts.append(f"```python\n{cell.source}\n```")
+        for output in next(of_code):
+            if output.kind == PNG:
+                number += 1
+                file = f"{name}_{number}.png"
+                (folder / file).write_bytes(base64.b64decode(output.text))
+                parts.append(f"![What the cell above draws]({file})")
+            elif output.kind == HTML:
+                parts.append(f"```{{raw}} html\n{output.text}\n```")
+            else:
+                parts.append(f"```text\n{output.text.rstrip()}\n```")
+    (folder / f"{name}.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+def relinked(text: str) -> str:
+    """Text whose links lead from notebooks/ to docs/, to be read below docs/_generated/papers/."""
+    text = re.sub(r"\]\((?:\.\./)+docs/", "](../../", text)
+    return re.sub(r"\]\((?:\.\./)*(\w+)\.py\)", r"](\1.md)", text)
+
+
+def outputs(code: str, made: Path) -> Iterator[Output]:
+    """Figures and tables of a cell, where the last full run has made them."""
+    for kind, result, _ in results(code):
+        if kind == "figure" and (made / f"{result}.png").is_file():
+            yield picture((made / f"{result}.png").read_bytes())
+        if kind == "table" and (made / f"{result}.md").is_file():
+            yield Output(MARKDOWN, (made / f"{result}.md").read_text(encoding="utf-8"))
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -121,10 +178,7 @@ def page(name: str, script: str, made: Path, rows: list[dict[str, str]]) -> Iter
     first = True
     for cell in cells(script):
         if cell.markdown:
-            # Links lead from notebooks/ to docs/; the page stands below docs/_generated/papers/,
-            # and so do those of the other notebooks.
-            text = cell.source.replace("](../docs/", "](../../")
-            yield re.sub(r"\]\((\w+)\.py\)", r"](\1.md)", text)
+            yield relinked(cell.source)
             if first:
                 yield HOW.format(name=name)
             first = False
@@ -180,7 +234,10 @@ def title_of(script: str) -> str:
 
 def index(titles: dict[str, str]) -> str:
     """A list of the pages by their titles."""
-    head = "# Notebooks\n\nThe papers' tables and figures, computed and explained."
+    head = (
+        "# Notebooks\n\nA lesson to begin with, then the papers' tables and figures, computed and "
+        "explained. Each page has its notebook, with output, to download."
+    )
     lines = "\n".join(f"- [{title}]({name}.md)" for name, title in titles.items())
     entries = "\n".join(titles)
     return "\n\n".join([head, lines, f"```{{toctree}}\n:hidden:\n\n{entries}\n```"])

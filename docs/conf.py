@@ -35,7 +35,7 @@ version = release = gonio.__version__
 html_title = f"gonio {version}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "console"]
-exclude_patterns = ["_ext", "recovery", "papers"]
+exclude_patterns = ["_ext", "examples", "recovery", "papers"]
 nitpicky = True
 # A name in backquotes may be a parameter or a field, which have no place to link to.
 nitpick_ignore_regex = [("py:obj", ".*")]

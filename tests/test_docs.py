@@ -382,3 +382,28 @@ def test_a_long_output_is_cut_and_the_clock_left_out(console, tmp_path):
     assert console.cut("1\n2\n3", 2) == ["1", "2", "..."]
     assert console.cut("1\n2", 2) == ["1", "2"]
     assert console.run("echo '9 of 9 frames in 7.3 s'", tmp_path) == "9 of 9 frames"
+
+
+# ---------------------------------------------------------------- examples of the rooms
+
+# What only the package itself uses, or what another room's example shows.
+WITHOUT_EXAMPLE = {"cache", "files", "progress", "reading", "recovery", "shared_term",
+                   "terms_of_0_1"}  # fmt: skip
+
+
+def test_every_room_has_an_example_or_is_left_out_on_purpose():
+    shown = {path.stem for path in command_pages.EXAMPLES.glob("*.py")}
+    named = {name.rpartition(".")[2] for name in command_pages.rooms()}
+    assert shown <= named
+    assert named - shown <= WITHOUT_EXAMPLE
+
+
+@pytest.mark.parametrize("path", sorted(command_pages.EXAMPLES.glob("*.py")), ids=lambda p: p.stem)
+def test_the_example_of_a_room_runs_and_prints(path):
+    name = "gonio" if path.stem == "gonio" else f"gonio.{path.stem}"
+    page = command_pages.example(name)
+    source, _, printed = page.partition("It prints")
+    assert f"   {path.read_text(encoding='utf-8').splitlines()[0]}" in source
+    assert len(printed.partition(".. code-block:: text")[2].strip()) > 10
+    code = path.read_text(encoding="utf-8")
+    assert name in code or path.stem in code  # it shows this room

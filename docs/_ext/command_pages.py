@@ -6,12 +6,14 @@ import importlib
 import inspect
 import pkgutil
 import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import rich_click as click
 from model_pages import escape, literal, text, toctree
+from notebook_files import PLAIN, executed
 
 import gonio
 from gonio.cli import group
@@ -21,6 +23,7 @@ from gonio.verbs import VERBS, python_name
 ORDER = ["models", "geometry", "samples", "session", "materials", "instrument", "simulation"]
 ORDER += ["calibration", "fitting", "checks", "formats", "plot"]
 # What nobody imports by hand: the command line has pages of its own.
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"  # one a room, named as the room
 HIDDEN = {"__main__", "cli", "kernels", "data"}
 # The rooms that the installation adds from other folders.
 ADDED = ["calibration", "fitting"]
@@ -109,9 +112,27 @@ def write_python(folder: Path) -> list[str]:
     names = rooms()
     seen: dict[int, str] = {}
     for name in names:
-        (folder / f"{name}.rst").write_text(python_page(name, seen), encoding="utf-8")
+        page = python_page(name, seen) + example(name)
+        (folder / f"{name}.rst").write_text(page, encoding="utf-8")
     (folder / "index.md").write_text(python_index(names), encoding="utf-8")
     return names
+
+
+def example(name: str) -> str:
+    """The example of a room with what it prints, in reStructuredText; it runs here."""
+    path = EXAMPLES / f"{name.rpartition('.')[2]}.py"
+    if not path.is_file():
+        return ""
+    source = path.read_text(encoding="utf-8")
+    shown = "".join(o.text for o in executed([source], path.name)[0] if o.kind == PLAIN)
+    return (
+        f"\nExample\n-------\n\n.. code-block:: python\n\n{_indented(source)}\n\n"
+        f"It prints\n\n.. code-block:: text\n\n{_indented(shown)}\n"
+    )
+
+
+def _indented(text: str) -> str:
+    return textwrap.indent(text.rstrip(), "   ")
 
 
 def rooms() -> list[str]:

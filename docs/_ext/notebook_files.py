@@ -1,6 +1,6 @@
 """Notebooks as files for Jupyter, .ipynb, with output; they are made when the site is built.
 
-A lesson runs cell by cell when the site is built. A notebook on a paper takes minutes, so its output
+A lesson runs cell by cell when the site is built. A notebook on a paper takes minutes; its output
 is what the last full run left in docs/papers/: the figures and tables of each cell.
 """
 

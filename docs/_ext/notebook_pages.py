@@ -153,6 +153,7 @@ def write_lesson(folder: Path, name: str, script: str) -> None:
 def relinked(text: str) -> str:
     """Text whose links lead from notebooks/ to docs/, to be read below docs/_generated/papers/."""
     text = re.sub(r"\]\((?:\.\./)+docs/", "](../../", text)
+    text = re.sub(r"\]\((?:\.\./)+CONTRIBUTING\.md", "](../contributing.md", text)
     return re.sub(r"\]\((?:\.\./)*(\w+)\.py\)", r"](\1.md)", text)
 
 

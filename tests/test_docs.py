@@ -326,8 +326,9 @@ def generated() -> set[Path]:
         for words in command_pages.commands()
     }
     made |= {DOCS / "_generated/render" / name for name in render_pictures.PICTURES}
+    lessons = [p.stem for p in (ROOT / "notebooks/lessons").glob("*.py")]
     notebooks = [p.stem for p in (ROOT / "notebooks").glob("[!_]*.py") if p.stem != "run"]
-    made |= {DOCS / "_generated/papers" / f"{name}.md" for name in ["index", *notebooks]}
+    made |= {DOCS / "_generated/papers" / f"{name}.md" for name in ["index", *notebooks, *lessons]}
     return made
 
 
@@ -388,7 +389,7 @@ def test_a_long_output_is_cut_and_the_clock_left_out(console, tmp_path):
 
 # What only the package itself uses, or what another room's example shows.
 WITHOUT_EXAMPLE = {"cache", "files", "progress", "reading", "recovery", "shared_term",
-                   "terms_of_0_1"}  # fmt: skip
+                   "terms_of_0_1", "verbs"}  # fmt: skip
 
 
 def test_every_room_has_an_example_or_is_left_out_on_purpose():
@@ -404,6 +405,6 @@ def test_the_example_of_a_room_runs_and_prints(path):
     page = command_pages.example(name)
     source, _, printed = page.partition("It prints")
     assert f"   {path.read_text(encoding='utf-8').splitlines()[0]}" in source
-    assert len(printed.partition(".. code-block:: text")[2].strip()) > 10
+    assert len(printed.partition(".. code-block:: text")[2].strip()) > 3
     code = path.read_text(encoding="utf-8")
     assert name in code or path.stem in code  # it shows this room

@@ -1,9 +1,7 @@
-from pathlib import Path
+from gonio.instrument import preset
+from gonio.planning.plan_search import design
 
-from gonio.planning.plan_file import read_plan
-
-Path("plan.toml").write_text(
-    "[plan]\ntheta_i_deg = [0, 20, 40, 60]\nrotations_deg = [0, 90]\nexposures_s = [0.004]\n"
+result = design(
+    "lambert", {"rho": 0.5}, instrument=preset("ideal12").with_pixels(64), wanted={"rho": 0.01}
 )
-plan = read_plan("plan.toml")  # what 'gonio design -o' writes
-print(plan.n_frames, "frames at", plan.theta_i_deg, "deg")
+print(result.plan.n_frames, "frames at", result.plan.theta_i_deg, "deg")

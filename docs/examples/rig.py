@@ -1,7 +1,7 @@
 from importlib.resources import as_file, files
 
-from gonio.rig import import_frames
+from gonio.rig import import_rig
 
 with as_file(files("gonio.data") / "demo_rig") as folder:
-    imported = import_frames(folder, "rig.gonio")
+    imported = import_rig(folder, "rig.gonio")
 print(imported.session.n_done, "frames;", len(imported.warnings), "warnings")

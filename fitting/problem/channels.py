@@ -55,6 +55,7 @@ def split(samples: Source) -> list[Channel]:
 
     Examples
     --------
+    >>> from gonio.geometry import Directions
     >>> theta = np.array([0.1, 0.2, 0.3])
     >>> two = BRDFSamples(
     ...     Directions(theta, 0.0, theta, 0.0), theta, wavelength_nm=np.array([650.0, 450.0, 650.0])

@@ -30,7 +30,9 @@ def profiled_terms(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
 
     Examples
     --------
+    >>> import numpy as np
     >>> from gonio.geometry import Directions
+    >>> from gonio.shared_term import SharedTerm
     >>> one = np.zeros(1)
     >>> terms = (SharedTerm("lamp, sample", "", 0.01), SharedTerm("standard", "", 0.02))
     >>> profiled_terms(BRDFSamples(Directions(one, one, one, one), one, shared=terms), ["lamp"])

@@ -20,7 +20,7 @@ from gonio.fitting.posterior.density import WholeTarget
 from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior
 from gonio.fitting.posterior.proposal import SHARES, Proposal, pilot
-from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.penalised import PenalisedProblem
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.geometry import Directions
@@ -390,15 +390,9 @@ def test_where_the_guard_refuses_emcee_takes_over(monkeypatch):
 
 
 def test_other_problems_are_sampled_whole_by_emcee():
-    class Tilted(Problem):
-        """A problem whose chi-squared only it knows."""
-
-        def batch_chi2(self, batch):
-            return np.array([self.chi2(p) for p in batch])
-
     samples = noisy("lambert", {"rho": 0.4}, n=50)
     found = find_minimum(samples, models.get("lambert"))
-    other = Tilted(**{k: getattr(found.problem, k) for k in found.problem.__dataclass_fields__})
+    other = PenalisedProblem(found.problem, found.optimum.p, np.zeros((1, 1)))
     errors, _ = uncertainties(found.at(other, found.optimum))
     chain = posterior.sample(found.at(other, found.optimum), errors, seed=1)
     assert (chain.sampler, chain.converged) == ("emcee", True)

@@ -27,13 +27,11 @@ from numpy.typing import NDArray
 from gonio.fitting.problem import by_jacobian
 from gonio.fitting.problem.losses import Loss
 from gonio.fitting.problem.protocol import Problem, Weights
-from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.shared_change import draw_slope
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
-
-STEP = 0.1  # of the prior's standard deviation: over which the slope of a direction is taken
 
 
 @dataclass(frozen=True)
@@ -231,7 +229,7 @@ class NuisanceProblem:
                 relative += z * no_offset.change(np.ones(self.n))
                 offset += 0.0 if term.offset is None else z * term.offset
         factor = 1 + relative
-        changes = [_change(moved, term, p, f, factor) for term, _ in parts]
+        changes = [draw_slope(moved, term, p, f, factor) for term, _ in parts]
         for (term, z), change in zip(parts, changes, strict=True):
             if term.blur:
                 offset += z * change
@@ -277,8 +275,8 @@ class NuisanceProblem:
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         f = self.moved.values(p)
         return [
-            _change(self.moved, term, p, f, self.factor) if term.name in self.profiled
-            else _change(self.moved, term, p, f, self.factor, step=1.0)
+            draw_slope(self.moved, term, p, f, self.factor) if term.name in self.profiled
+            else draw_slope(self.moved, term, p, f, self.factor, step=1.0)
             for term in self.samples.shared
         ]  # fmt: skip
 
@@ -431,27 +429,3 @@ def _draws(terms: Sequence[SharedTerm], n: int) -> tuple[NDArray[np.int64], int]
         row[:] = term.draw(n) + total
         total = int(row.max()) + 1
     return draw, total
-
-
-def _change(
-    problem: Problem,
-    term: SharedTerm,
-    p: FloatArray,
-    f: FloatArray,
-    factor: FloatArray,
-    *,
-    step: float = STEP,
-) -> FloatArray:
-    """dF/dz (N,) of a term; f are the values at the directions as they are now.
-
-    What is learnt is known to a part of its prior: there the slope is wanted, and not the chord
-    over a whole standard deviation that stands for what is only propagated.
-    """
-    if term.shift is not None:
-        shorter = replace(term, shift=step * term.shift)
-        return shared_change(problem, shorter, p, f) / step * factor
-    if term.turn:
-        shorter = replace(term, turn=step * term.turn)
-        return shared_change(problem, shorter, p, f) / step * factor
-    change = shared_change(problem, term, p, f)
-    return change * factor if term.blur else change

@@ -10,6 +10,8 @@ from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 from gonio.samples import SharedTerm
 
+STEP = 0.1  # of the prior's standard deviation: over which the slope of a direction is taken
+
 
 def shared_change(problem: Problem, term: SharedTerm, p: FloatArray, f: FloatArray) -> FloatArray:
     """Change of the samples (N,) for one standard deviation of a shared term.
@@ -66,3 +68,27 @@ def _moved(problem: Problem, step: FloatArray, p: FloatArray) -> FloatArray:
     w_r = problem.cells.w_r + step
     w_r /= np.linalg.norm(w_r, axis=1, keepdims=True)
     return problem.values(p, replace(problem.cells, w_r=w_r))
+
+
+def draw_slope(
+    problem: Problem,
+    term: SharedTerm,
+    p: FloatArray,
+    f: FloatArray,
+    factor: FloatArray,
+    *,
+    step: float = STEP,
+) -> FloatArray:
+    """dF/dz (N,) of a term; f are the values at the directions as they are now.
+
+    What is learnt is known to a part of its prior: there the slope is wanted, and not the chord
+    over a whole standard deviation that stands for what is only propagated.
+    """
+    if term.shift is not None:
+        shorter = replace(term, shift=step * term.shift)
+        return shared_change(problem, shorter, p, f) / step * factor
+    if term.turn:
+        shorter = replace(term, turn=step * term.turn)
+        return shared_change(problem, shorter, p, f) / step * factor
+    change = shared_change(problem, term, p, f)
+    return change * factor if term.blur else change

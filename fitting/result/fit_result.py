@@ -41,9 +41,9 @@ class FitResult(FitRecord):
     >>> samples = BRDFSamples(Directions(0.3, 0.0, theta, 0.0), 0.1 + noise)
     >>> result = fit(samples, "lambert")
     >>> print(repr(result))
-    <FitResult lambert: rho = 0.3142 ± 0.00051; converged, 20 samples>
+    <FitResult lambert: rho = 0.3145 ± 0.00051; converged, 20 samples>
     >>> result.predict(Directions(0.1, 0.0, 0.2, 0.0)).value
-    array(0.10002009)
+    array(0.10009537)
     """
 
     memory: Memory | None = field(default=None, compare=False)

@@ -76,8 +76,9 @@ def calibrate_alignment(
     Examples
     --------
     >>> import gonio, tempfile
-    >>> from gonio.simulation import mirror_plan
+    >>> from gonio.instrument.plans import mirror_plan
     >>> rig = gonio.instrument.preset("ideal12").with_pixels(208)
+    >>> rig = rig.altered(lamp={"half_angle_deg": 0.5})
     >>> folder = tempfile.mkdtemp() + "/mirror.gonio"
     >>> plan = mirror_plan(rig, wedge_deg=15.0)
     >>> session = gonio.simulate(output=folder, instrument=rig, plan=plan)

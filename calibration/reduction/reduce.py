@@ -79,7 +79,9 @@ def reduce(
     --------
     >>> import gonio, tempfile
     >>> rig = gonio.instrument.preset("ideal12").with_pixels(52)
-    >>> plan = gonio.metadata.Plan(theta_i_deg=(20,), rotations_deg=(0,), exposures_s=(0.1,))
+    >>> plan = gonio.metadata.Plan(
+    ...     theta_i_deg=(20,), rotations_deg=(0,), exposures_s=rig.sensor.exposures_s
+    ... )
     >>> session = gonio.simulate("white_ceramic_tile", output=tempfile.mkdtemp() + "/tile.gonio",
     ...                          instrument=rig, plan=plan)
     >>> samples = reduce(session)

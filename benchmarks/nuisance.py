@@ -10,11 +10,11 @@ azimuth known to 0.5 deg, makes data of a brushed surface with them and fits the
 
 - `independent`: as if the samples shared no errors;
 - `propagated`: the shared errors are added to the uncertainties, as `gonio fit` does;
-- `learnt`: they are unknowns of the fit with priors, as `gonio fit --nuisance all` does.
+- `profiled`: they are nuisance parameters of the fit with priors, as `gonio fit --nuisance all` does.
 
 The table counts how often the 95 % interval of each parameter holds the true value, with the
 range in which a count lies 95 times of 100 where the intervals are right, and how wide it is. The
-rows of a learnt error count its draws by their estimate and standard uncertainty.
+rows of a profiled error count its draws by their estimate and standard uncertainty.
 
 Samples are Ward's model at five incidences and three rotations, four fifths of them about the lobe,
 with noise of 1 % that is known; the lamp's draw is one for each incidence. With --frames they come
@@ -54,7 +54,7 @@ ROTATIONS_DEG = (0.0, 45.0, 90.0)
 NOISE = 0.01
 SURFACE = {"rho_d": 0.1, "rho_s": 0.05, "alpha_x": 0.04, "alpha_y": 0.11}
 N_SAMPLES = 3000
-WAYS = ("independent", "propagated", "learnt")
+WAYS = ("independent", "propagated", "profiled")
 FIELDS = (
     "way", "quantity", "runs", "held", "least", "most", "held_percent", "width_percent",
 )  # fmt: skip
@@ -144,7 +144,7 @@ def run(seed: int, *, frames: bool) -> list[Seen]:
     for way in WAYS:
         used = replace(data, shared=()) if way == "independent" else data
         result = gonio.fit(
-            used, model="ward", threads=1, nuisance="all" if way == "learnt" else "none"
+            used, model="ward", threads=1, nuisance="all" if way == "profiled" else "none"
         )
         seen += _parameters(way, result)
         seen += _draws(way, result, draws)

@@ -10,7 +10,7 @@ azimuth known to 0.5 deg, makes data of a brushed surface with them and fits the
 
 - `independent`: as if the samples shared no errors;
 - `propagated`: the shared errors are added to the uncertainties, as `gonio fit` does;
-- `profiled`: they are nuisance parameters of the fit with priors, as `gonio fit --nuisance all` does.
+- `profiled`: they are nuisance parameters with priors, as in `gonio fit --nuisance all`.
 
 The table counts how often the 95 % interval of each parameter holds the true value, with the
 range in which a count lies 95 times of 100 where the intervals are right, and how wide it is. The

@@ -15,8 +15,9 @@ TABLES = ("ideal12", "modern12", "lbl1992_exact", "lbl1992")
 
 HEAD = """# Accuracy
 
-What comes back from raw frames: every material of the papers simulated with photon and read noise,
-reduced and fitted with its own model, without start values. The tables are made by
+How accurately does gonio recover parameters from raw frames? Every material of the papers was
+simulated with photon and read noise, reduced, and fitted with its own model, without starting
+values. The tables are made by
 
 ```sh
 python benchmarks/recovery.py ideal12 -o docs/recovery/ideal12.csv
@@ -26,29 +27,37 @@ python benchmarks/recovery.py lbl1992 -o docs/recovery/lbl1992.csv
 python benchmarks/accuracy_page.py
 ```
 
-The error is (recovered - true) in per cent of the true value; z is the same in stated standard
-uncertainties, with all that the samples share (standard, lamp, mapping, dome slope, what is left of
-multi-bounce) inside. Nobody who measures can know how far the white standard is from its
-certificate; the last column is the error of rho and amplitudes without that part.
+The error is (recovered - true) in per cent of the true value. z is the same difference in stated
+standard uncertainties, shared errors included (standard, lamp, mapping, dome slope, rest of
+multi-bounce). Nobody who measures can know how far the white standard is from its certificate.
+The last column therefore gives the error of rho and amplitudes without this part.
 """
 
 NOTES = {
-    "ideal12": "The camera and the noise of `modern12`, no systematic effects. What is left is "
-    "eq. (3), good to (D/R)^3 on an ellipsoid, which is stated as an uncertainty and not "
-    "corrected, and the bias of a quotient of two noisy frames, 1e-5 of rho_d, which is not "
-    "stated.",
-    "modern12": "Everything on, reduced by eq. (3). The standard is half a per cent (one standard "
-    "deviation) off its certificate, drawn anew for each material; light that goes round twice is "
-    "corrected with a g known to 30 %; what is left are the lamp's drift of 0.3 % between images "
-    "and the dome's slope errors, which stretch the lobe. Worst of all is ks_over_kb of foam: its "
-    "lobe is a tenth of the signal.",
-    "lbl1992_exact": "Ward's instrument as far as his paper tells: a true sphere with D/R = 0.1, "
-    "pixels of 2.25 deg, 8 bits, a lamp of 1 deg half-angle that drifts by 1 %, slope errors of "
-    "1 deg at the rim, a standard known to 2 %; reduced by the law of reflection "
-    "(`--mapping exact`).",
-    "lbl1992": "The same frames, reduced by eq. (3) as the paper has it: on a "
-    "sphere it shifts directions by up to 0.57 deg and stretches the lobe. The difference to the "
-    "table before is what the approximation costs.",
+    "ideal12": (
+        "The camera and the noise of `modern12`, without systematic effects. Two errors "
+        "remain. Eq. (3) is good to (D/R)^3 on an ellipsoid; this is stated as an uncertainty "
+        "and not corrected. The quotient of two noisy frames has a bias of 1e-5 of rho_d, "
+        "which is not stated."
+    ),
+    "modern12": (
+        "All effects, reduced by eq. (3). The standard differs from its certificate by half a "
+        "per cent (one standard deviation), drawn anew for each material. Multiple reflection "
+        "is corrected with a g known to 30 %. The remaining errors are the drift of the lamp, "
+        "0.3 % between images, and the slope errors of the dome, which stretch the lobe. "
+        "ks_over_kb of foam has the largest error: its lobe is a tenth of the signal."
+    ),
+    "lbl1992_exact": (
+        "Ward's instrument as far as his paper describes it: a true sphere with D/R = 0.1, "
+        "pixels of 2.25 deg, 8 bits, a lamp of 1 deg half-angle that drifts by 1 %, slope "
+        "errors of 1 deg at the rim, a standard known to 2 %. Reduced by the law of "
+        "reflection (`--mapping exact`)."
+    ),
+    "lbl1992": (
+        "The same frames, reduced by eq. (3) as in the paper. On a sphere this shifts "
+        "directions by up to 0.57 deg and stretches the lobe. The difference from the "
+        "previous table is the cost of the approximation."
+    ),
 }
 
 
@@ -70,7 +79,7 @@ def table(rows: list[dict[str, str]]) -> str:
     """Markdown table, a row a parameter."""
     lines = [
         "| material | parameter | true | recovered | std. uncertainty | error, % | z "
-        "| but for the standard, % |",
+        "| without standard, % |",
         "|---|---|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:

@@ -19,11 +19,11 @@ Row = dict[str, str]
 
 HEAD = """# Calibration of uncertainties
 
-Are the stated uncertainties as large as the errors are? Here parameters are drawn from the prior, a
-data set is made with them and fitted, over and over (simulation-based calibration, Talts et al.
-2018, arXiv:1804.06788). If all is right, the rank of the true value among independent draws of its
-posterior is uniform, and an interval of 95 % holds the truth in 95 % of the sets. The tables are
-made by
+Are the stated uncertainties as large as the errors? This page answers by simulation-based
+calibration (Talts et al. 2018, arXiv:1804.06788): draw parameters from the prior, make a data set
+with them, fit it, and repeat. If all is correct, the rank of the true value among independent
+draws of its posterior is uniform, and a 95 % interval contains the true value in 95 % of the
+sets. The tables are made by
 
 ```sh
 python -m benchmarks.sbc --raw build/sbc.csv -o docs/calibration/sbc.csv
@@ -34,43 +34,44 @@ python -m benchmarks.random_materials -o docs/calibration
 python -m benchmarks.calibration_page
 ```
 
-`-n` is the number of sets of a case; an interrupted run goes on where it stopped. The column `sets`
-says how many there are in the tables below.
+`-n` is the number of sets of a case. An interrupted run continues where it stopped. The column
+`sets` states their number in the tables below.
 
-- **From samples**: 300 to 1000 directions over 4 to 7 incidences, half of them about the mirror
-  direction; noise of 1 to 20 %, drawn for each set, of what a surface in the middle of the prior
-  reflects there. The noise must not depend on the true values: the uncertainties that a fit is told
-  would give them away, and ranks be uniform no more.
-- **From frames** (`_frames`): three incidences on `ideal12` with 128 x 128 px and 3 to 100 % of its
-  light, simulated, reduced (`mapping="exact"`) and fitted.
-- `ward_shared`: all values of a set share an error of scale, drawn with a standard deviation of 2 %
-  and stated.
-- The prior is flat between the bounds of the fitted model. They are the model's own but for alpha,
-  0.02 to 0.4 (from frames 0.06 to 0.4), and rho of `oren_nayar_frames`, 0.1 to 1.
+- **From samples**: 300 to 1000 directions over 4 to 7 incidences, half of them around the mirror
+  direction. The noise is 1 to 20 %, drawn for each set, of the value of a surface in the middle
+  of the prior. It must not depend on the true values: otherwise the stated uncertainties would
+  reveal them, and the ranks would not be uniform.
+- **From frames** (`_frames`): three incidences on `ideal12` with 128 x 128 px and 3 to 100 % of
+  its light, simulated, reduced (`mapping="exact"`) and fitted.
+- `ward_shared`: all values of a set share an error of scale, drawn with a standard deviation of 2
+  %. The samples state it.
+- The prior is flat between the bounds of the fitted model. These are the bounds of the model,
+  except for alpha, 0.02 to 0.4 (from frames 0.06 to 0.4), and rho of `oren_nayar_frames`, 0.1 to
+  1.
 
-`p` is that of chi-squared over 20 bins of the ranks. The other columns say how often, in per cent,
-the intervals of 68.3 and 95 % hold the truth: those of the posterior, then those of least squares
-(`posterior=False`), where one is stated. A test fails at p below 0.001, of the ranks or of the
-binomial distribution of that count.
+`p` is the p-value of chi-squared over 20 bins of the ranks. The other columns say how often, in
+per cent, the intervals of 68.3 and 95 % contain the true value: first those of the posterior,
+then those of least squares (`posterior=False`), where one is stated. A test fails if p is below
+0.001, for the ranks or for the binomial distribution of the count.
 """
 
-TOLD_WRONGLY = """## When the noise is told wrongly
+TOLD_WRONGLY = """## If the stated noise is wrong
 
-The same kind of sets of `ward`, but the samples state something that is not so. Errors that are
-stated twice as large, and a common error of scale that is not stated at all, must fail these
-tests, and do.
+These sets of `ward` state wrong uncertainties. Noise stated twice as large, and a common error of
+scale that is not stated, must fail the tests, and both do.
 
-Half the noise passes, or nearly so: where the residuals are larger than stated, the fit multiplies
-the independent uncertainties by sqrt(chi2/dof) (Birge's ratio) and warns. That mends a noise that
-is understated everywhere alike. It does not mend what samples share, as the error of scale shows:
-residuals do not tell of it.
+Noise stated half as large passes, or nearly so. If the residuals are larger than stated, the fit
+multiplies the independent uncertainties by the Birge ratio sqrt(chi2/dof) and warns. This
+corrects noise that is understated by one factor everywhere. It does not correct shared errors, as
+the error of scale shows: residuals contain no information about it.
 """
 
 RANDOM = """## Materials drawn at random
 
-Error over stated uncertainty of least squares, its median and 95th percentile: 0.67 and 1.96 if
-errors are normal and as large as stated. Lobes are 0.02 to 0.4 wide and have an amplitude from
-0.005, evenly by the logarithm; the noise is 1 to 5 % of f; directions as above.
+The table shows the median and the 95th percentile of the error over the stated uncertainty of
+least squares. They are 0.67 and 1.96 if errors are normal and as large as stated. Lobes are 0.02
+to 0.4 wide, with amplitudes from 0.005, uniform in the logarithm. The noise is 1 to 5 % of f.
+Directions are as above.
 """
 
 

@@ -14,32 +14,33 @@ HEADINGS = ("what", "ours, 1/s", "ratio", "against", "note")
 
 HEAD = """# Benchmarks
 
-What gonio's compiled loops do in a second (pairs of directions, or pixels), and how that compares
-with plain numpy and with other programs on the same work. Seconds depend on the machine and on what
-else it does, so that the figure to look at is the **ratio**: ours over the other's, both measured
-in turn in one run. Above 1 gonio is faster.
+This page shows the speed of gonio's compiled loops (pairs of directions, or pixels, per second)
+and compares it with plain numpy and with other programs on the same work. Times depend on the
+machine and its load. The meaningful number is therefore the **ratio** of gonio's speed to that of
+the other program, with both measured in turn in one run. Above 1 gonio is faster.
 
-- One thread against one thread, the fastest of several runs after one that warms up.
-- Reflectance: 10^6 pairs of random directions, six arrays in and one out, in main memory; float64
-  where a line does not say float32. Against `memory` is against a loop that adds the six arrays and
-  does nothing else: 0.8 is 80 % of what this processor can read and write.
-- `cores given` is how many busy loops ran at full speed when one a core was started, before or
-  after the section, whichever is less. Where it is well below their number the machine had other
-  things to do and the section is worth another run.
-- Other programs are called in the quickest way that they offer; the note says what they do besides.
-  That they give the same numbers is tested in `tests/test_peers.py`.
-- A program that is not installed is skipped; `pip install 'gonio[bench]'` brings them. Mitsuba's
-  vectorised variants also need a libLLVM, 16 or newer, that `DRJIT_LIBLLVM_PATH` names.
+- All comparisons use one thread. The fastest of several runs counts, after one warm-up run.
+- Reflectance: 10^6 pairs of random directions, six arrays in and one out, in main memory, in
+  float64 unless the line says float32. `memory` is a loop that only adds the six arrays: a ratio
+  of 0.8 means 80 % of what this processor can read and write.
+- `cores given` is the number of busy loops that ran at full speed, of one started per core,
+  before or after the section, whichever is less. If it is far below the number of cores, the
+  machine was busy: repeat the section.
+- Each other program is called in its fastest way; the note says what it computes besides.
+  `tests/test_peers.py` tests that the numbers agree.
+- A program that is not installed is skipped; `pip install 'gonio[bench]'` installs them. The
+  vectorised variants of Mitsuba also need libLLVM 16 or newer; `DRJIT_LIBLLVM_PATH` gives its
+  path.
 
-How well parameters are recovered stands in [Accuracy](accuracy.md); the errors of the integral
-model and of its table are printed by `python -m benchmarks.oren_nayar_numeric`.
+[Accuracy](accuracy.md) shows how well parameters are recovered. `python -m
+benchmarks.oren_nayar_numeric` prints the errors of the integral model and of its table.
 """
 
 FIRST_CALL = """## First call
 
-Compiling the loops of a model takes seconds, once for each model and machine: the code is kept in
-the cache folder (`GONIO_CACHE_DIR`, else `gonio` below `XDG_CACHE_HOME` or `~/.cache`). Each line
-is a new process; what is left with a full cache is mostly the loading of numba.
+Compiling the loops of a model takes seconds, once for each model and machine. gonio keeps the
+code in the cache folder (`GONIO_CACHE_DIR`, else `gonio` below `XDG_CACHE_HOME` or `~/.cache`).
+Each line is a new process. With a full cache the remaining time is mostly that of loading numba.
 """
 
 

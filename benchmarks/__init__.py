@@ -1,1 +1,1 @@
-"""What gonio's speed is measured with; python -m benchmarks runs it."""
+"""Benchmarks of gonio's speed; python -m benchmarks runs them."""

@@ -1,8 +1,8 @@
-"""Everything that is timed, in one run and one table: python -m benchmarks (or make bench).
+"""All benchmarks in one run and one table: python -m benchmarks (or make bench).
 
-Run from the root of the checkout, in its environment. Absolute speeds depend on the machine and on
-what else it does; the ratios compare two ways to do one piece of work, measured in turn, and stand
-beside the number of cores that the machine really gave.
+Run from the root of the checkout, in its environment. Absolute speeds depend on the machine and its
+load. The ratios compare two ways to do one piece of work, measured in turn; the table also gives
+the number of cores that the machine provided.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SECTIONS = {
 
 
 def section(name: str) -> dict[str, Any]:
-    """One section's rows and the cores that there were before and after it."""
+    """One section's rows, and the available cores before and after it."""
     before = cores()
     rows = importlib.import_module(SECTIONS[name]).run()
     return {

@@ -64,14 +64,14 @@ NOTES = {
 def summary(rows: list[dict[str, str]]) -> str:
     """One sentence on a table: the worst error and the coverage."""
     worst = max(rows, key=lambda row: abs(float(row["error_percent"])))
-    known = [abs(float(row["error_in_stderr"])) for row in rows if row["error_in_stderr"]]
-    inside = sum(z <= 3 for z in known)
-    rest = max(rows, key=lambda row: abs(float(row["error_but_standard_percent"])))
+    errors = [abs(float(row["error_in_stderr"])) for row in rows if row["error_in_stderr"]]
+    inside = sum(z <= 3 for z in errors)
+    largest = max(rows, key=lambda row: abs(float(row["error_but_standard_percent"])))
     return (
         f"Worst: {worst['parameter']} of {worst['material']}, {worst['error_percent']} %; without "
-        f"the standard's own error {rest['parameter']} of {rest['material']}, "
-        f"{rest['error_but_standard_percent']} %. "
-        f"{inside} of {len(known)} parameters lie within 3 of their standard uncertainties."
+        f"the standard's own error {largest['parameter']} of {largest['material']}, "
+        f"{largest['error_but_standard_percent']} %. "
+        f"{inside} of {len(errors)} parameters lie within 3 of their standard uncertainties."
     )
 
 

@@ -76,7 +76,7 @@ Directions are as above.
 
 
 def table(rows: list[Row], first: str, key: Callable[[Row], str]) -> str:
-    """A line a parameter."""
+    """Markdown table, a row a parameter."""
     head = (first, "parameter", "sets", "p", "68 %", "95 %", "l.s. 68 %", "l.s. 95 %", "fails")
     lines = [
         (
@@ -94,7 +94,7 @@ def table(rows: list[Row], first: str, key: Callable[[Row], str]) -> str:
 
 
 def verdict(rows: list[Row]) -> str:
-    """One sentence on the sets that tell the truth."""
+    """One sentence on the sets with correct statements."""
     bad = [f"{row['case']} {row['parameter']}" for row in rows if failures(row)]
     none = sum(int(row["without_interval"]) for row in rows)
     doubtful = sum(int(row["not_converged"]) for row in rows)

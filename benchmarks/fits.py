@@ -1,7 +1,7 @@
 """Fits: from angles and values to a minimum that passed its checks, without a start, against scipy.
 
-The comparison is a fit as one writes it: Ward's model in numpy from the angles, differences for the
-Jacobian, and a start that is near, but not at the truth.
+The comparison is a fit without gonio: Ward's model in numpy from the angles, differences for the
+Jacobian, and starting values near the truth.
 """
 
 from __future__ import annotations

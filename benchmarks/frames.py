@@ -1,4 +1,4 @@
-"""Frames: the sensor's noise, and all from directions to counts, against numpy as one writes it."""
+"""Frames: the sensor's noise, and a whole frame from directions to counts, against numpy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ R, D = 150.0, 15.0
 WHITE = 3.2e6  # e-/s of a perfect white at normal incidence
 
 
-def plain(rate: FloatArray, rng: np.random.Generator) -> np.ndarray:
+def numpy_counts(rate: FloatArray, rng: np.random.Generator) -> np.ndarray:
     """Shot noise, full well, read noise, gain, black level and ADC, each an array."""
     electrons = np.minimum(rng.poisson(TIME_S * (rate + DARK)), WELL)
     counts = GAIN * electrons + NOISE * rng.standard_normal(rate.shape) + BLACK
@@ -47,7 +47,7 @@ def pixel_angles() -> tuple[FloatArray, FloatArray]:
     return np.hypot(columns, rows), np.arctan2(rows, columns)
 
 
-def plain_frame(rng: np.random.Generator) -> np.ndarray:
+def numpy_frame(rng: np.random.Generator) -> np.ndarray:
     """A whole frame: directions by eq. (3), f by eq. (5a), noise."""
     theta_c, phi_c = pixel_angles()
     s = np.sin(theta_c) * np.sin(phi_c)
@@ -65,11 +65,11 @@ def plain_frame(rng: np.random.Generator) -> np.ndarray:
     lobe = np.exp(-exponent) / (4 * np.pi * alpha_x * alpha_y)
     with np.errstate(invalid="ignore"):
         f = rho_d / np.pi + rho_s * lobe / np.sqrt(w_i[2] * w_r[..., 2])
-    return plain(WHITE * np.pi * w_i[2] * np.where(w_r[..., 2] > 0, f, 0.0), rng)
+    return numpy_counts(WHITE * np.pi * w_i[2] * np.where(w_r[..., 2] > 0, f, 0.0), rng)
 
 
 def our_frame() -> Callable[[], np.ndarray]:
-    """The same with directions that are made once, as they are for all images of a session."""
+    """The same with directions that are computed once, as for all images of a session."""
     model = get("ward")
     p = np.array(METAL)
     theta_c, phi_c = pixel_angles()
@@ -90,12 +90,12 @@ def run() -> list[Row]:
     works = {
         scene: (
             partial(expose, rate, TIME_S, **FIGURES),
-            partial(plain, rate, rng),
+            partial(numpy_counts, rate, rng),
         )
         for scene, (low, high) in SCENES.items()
         for rate in [rng.uniform(low, high, (SIDE, SIDE)) / TIME_S]
     }
-    works["pixels, directions and f too"] = (our_frame(), partial(plain_frame, rng))
+    works["pixels, directions and f too"] = (our_frame(), partial(numpy_frame, rng))
     rows = []
     for scene, (ours, numpy) in works.items():
         times = best_in_turn({"ours": ours, "numpy": numpy}, 5)

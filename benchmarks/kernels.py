@@ -1,10 +1,10 @@
-"""Reflectance in numbers a second: against plain numpy, and against the speed of the memory.
+"""Values of the BRDF a second, against numpy and against the speed of the memory.
 
 Run from the root of the checkout: python -m benchmarks.kernels
 
-10^6 pairs of random directions up to 80 deg, six arrays in and one out, one thread, everything
-allocated before. The memory's speed is that of a loop that adds the six arrays and does nothing
-else. What is compared is measured in turn.
+10^6 pairs of random directions up to 80 deg, six arrays in and one out, one thread, all
+arrays allocated before. The memory's speed is that of a loop that adds the six arrays and does
+nothing else. Compared runs are measured in turn.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def pairs(real: type, n: int = N) -> tuple[Array, Array]:
     return w_i, w_r
 
 
-def plain_ward(w_i: Array, w_r: Array, p: Array) -> Array:
-    """Eq. (5a) as one writes it with numpy, with the half vector and no angle."""
+def numpy_ward(w_i: Array, w_r: Array, p: Array) -> Array:
+    """Eq. (5a) in numpy, with the half vector and no angle."""
     rho_d, rho_s, alpha_x, alpha_y = p
     h = w_i + w_r
     exponent = ((h[:, 0] / alpha_x) ** 2 + (h[:, 1] / alpha_y) ** 2) / h[:, 2] ** 2
@@ -48,8 +48,8 @@ def plain_ward(w_i: Array, w_r: Array, p: Array) -> Array:
     return rho_d / np.pi + rho_s * lobe / np.sqrt(w_i[:, 2] * w_r[:, 2])
 
 
-def plain_oren_nayar(angles: tuple[Array, Array, Array], p: Array) -> Array:
-    """Eqs (14)-(16) as one writes them with numpy, from theta_i, theta_r and dphi."""
+def numpy_oren_nayar(angles: tuple[Array, Array, Array], p: Array) -> Array:
+    """Eqs (14)-(16) in numpy, from theta_i, theta_r and dphi."""
     theta_i, theta_r, dphi = angles
     rho, sigma = p
     s2 = sigma**2
@@ -65,7 +65,7 @@ def plain_oren_nayar(angles: tuple[Array, Array, Array], p: Array) -> Array:
 
 
 def angles(w_i: Array, w_r: Array) -> tuple[Array, Array, Array]:
-    """theta_i, theta_r and dphi, which `plain_oren_nayar` wants."""
+    """theta_i, theta_r and dphi, the arguments of `numpy_oren_nayar`."""
     phi_i, phi_r = (np.arctan2(w[:, 1], w[:, 0]) for w in (w_i, w_r))
     return np.arccos(w_i[:, 2]), np.arccos(w_r[:, 2]), phi_r - phi_i
 
@@ -90,28 +90,28 @@ def ours(name: str, real: type, n: int = N) -> Work:
     return partial(model.evaluate, *pairs(real, n), model.vector({}), out=out, threads=1)
 
 
-def against(name: str, other: str, real: type, times: dict[str, float], note: str = "") -> Row:
+def against(name: str, peer: str, real: type, times: dict[str, float], note: str = "") -> Row:
     """One row from the times of a group that was measured in turn."""
     label = name if real is np.float64 else f"{name}, float32"
     mine = times[f"{name} {real.__name__}"]
-    return Row(label, N / mine, other, times[f"{other} {real.__name__}"] / mine, note)
+    return Row(label, N / mine, peer, times[f"{peer} {real.__name__}"] / mine, note)
 
 
-def compared(name: str, plain: Work, plain_single: Work, note: str) -> list[Row]:
+def compared(name: str, in_numpy: Work, in_numpy_single: Work, note: str) -> list[Row]:
     """A model against numpy and against the memory, in both precisions."""
     works = {
         f"{name} float64": ours(name, np.float64),
-        "numpy float64": plain,
+        "numpy float64": in_numpy,
         "memory float64": stream(np.float64),
         f"{name} float32": ours(name, np.float32),
-        "numpy float32": plain_single,
+        "numpy float32": in_numpy_single,
         "memory float32": stream(np.float32),
     }
     times = best_in_turn(works, rounds=11)
     rows = [
-        against(name, other, real, times, text)
+        against(name, peer, real, times, text)
         for real in REAL
-        for other, text in (("numpy", note), ("memory", "ours over six arrays in, one out"))
+        for peer, text in (("numpy", note), ("memory", "ours over six arrays in, one out"))
     ]
     single, double = times[f"{name} float32"], times[f"{name} float64"]
     return [*rows, Row(f"{name}, float32", N / single, "float64", double / single)]
@@ -120,15 +120,15 @@ def compared(name: str, plain: Work, plain_single: Work, note: str) -> list[Row]
 def ward() -> list[Row]:
     """The Ward model."""
     p = get("ward").vector({})
-    plain = [partial(plain_ward, *pairs(real), p.astype(real)) for real in REAL]
-    return compared("ward", *plain, "half vector, no angle")
+    in_numpy = [partial(numpy_ward, *pairs(real), p.astype(real)) for real in REAL]
+    return compared("ward", *in_numpy, "half vector, no angle")
 
 
 def oren_nayar() -> list[Row]:
-    """The Oren-Nayar model; numpy is given the angles and spared their arc functions."""
+    """The Oren-Nayar model; numpy gets the angles and computes no arc functions."""
     p = get("oren_nayar").vector({})
-    plain = [partial(plain_oren_nayar, angles(*pairs(real)), p.astype(real)) for real in REAL]
-    return compared("oren_nayar", *plain, "numpy is given angles, gonio vectors")
+    in_numpy = [partial(numpy_oren_nayar, angles(*pairs(real)), p.astype(real)) for real in REAL]
+    return compared("oren_nayar", *in_numpy, "numpy is given angles, gonio vectors")
 
 
 def others(of: Iterable[str]) -> list[Row]:

@@ -3,8 +3,8 @@
     python -m benchmarks.make_demo_rig [FOLDER]
 
 Rolled aluminum behind the dome and lens of `modern12`, recorded by a small camera with large
-pixels, as a lab's computer would leave the files: 16-bit PNG of 12-bit counts and a session.toml
-that says what the lab knows. Everything follows from one seed.
+pixels, in the files of a laboratory's computer: 16-bit PNG of 12-bit counts and a session.toml
+with the data of the laboratory. One seed determines all of it.
 """
 
 from __future__ import annotations
@@ -96,10 +96,10 @@ sample = "{sample}"
 
 def instrument() -> Instrument:
     """Dome, lamp, lens and standard of modern12, and a camera of 96 x 96 large pixels."""
-    rig = preset("modern12")
-    window_um = rig.sensor.rows * rig.sensor.pitch_um[0]
+    small = preset("modern12")
+    window_um = small.sensor.rows * small.sensor.pitch_um[0]
     pitch_um = round(window_um / PIXELS, 1)
-    sensor = rig.sensor.model_copy(
+    sensor = small.sensor.model_copy(
         update={
             "rows": PIXELS,
             "columns": PIXELS,
@@ -112,7 +112,7 @@ def instrument() -> Instrument:
             "exposures_s": PLAN.exposures_s,
         }
     )
-    return rig.model_copy(update={"name": "demo rig", "sensor": sensor})
+    return small.model_copy(update={"name": "demo rig", "sensor": sensor})
 
 
 def name_of(role: str, take: int, incidence: int, exposure: int) -> str:
@@ -135,30 +135,38 @@ def write_frames(session: Session, folder: Path) -> None:
             path.write_bytes(picture.tobytes())
 
 
-def description(rig: Instrument) -> str:
-    """session.toml with the figures of the instrument's data sheets."""
-    figures: dict[str, object] = {}
-    for part in (rig.dome, rig.lens, rig.sensor, rig.standard, rig.lamp, rig.surroundings, PLAN):
-        figures |= part.model_dump()
-    figures |= {"usable_theta_r_deg": rig.usable_theta_r_deg, **ROLES}
-    figures["saturation_dn"] = rig.sensor.saturation_dn
-    lists = {key: list(value) for key, value in figures.items() if isinstance(value, tuple)}
-    return SESSION_TOML.format(**{**figures, **lists})
+def description(instrument: Instrument) -> str:
+    """session.toml with the values of the instrument's data sheets."""
+    values: dict[str, object] = {}
+    for part in (
+        instrument.dome,
+        instrument.lens,
+        instrument.sensor,
+        instrument.standard,
+        instrument.lamp,
+        instrument.surroundings,
+        PLAN,
+    ):
+        values |= part.model_dump()
+    values |= {"usable_theta_r_deg": instrument.usable_theta_r_deg, **ROLES}
+    values["saturation_dn"] = instrument.sensor.saturation_dn
+    lists = {key: list(value) for key, value in values.items() if isinstance(value, tuple)}
+    return SESSION_TOML.format(**{**values, **lists})
 
 
 def make(folder: Path = FOLDER) -> None:
-    """Write the folder: the one of the package anew, any other only where there is none."""
-    rig = instrument()
+    """Write the folder; replace that of the package, but no other."""
+    simulated = instrument()
     if folder == FOLDER:
         shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as temporary:
         session = simulate(
-            MATERIAL, output=Path(place) / "demo", instrument=rig, plan=PLAN, seed=SEED,
+            MATERIAL, output=Path(temporary) / "demo", instrument=simulated, plan=PLAN, seed=SEED,
             truth_images=False,
         )  # fmt: skip
         write_frames(session, folder)
-    write_text(folder / "session.toml", description(rig))
+    write_text(folder / "session.toml", description(simulated))
 
 
 if __name__ == "__main__":

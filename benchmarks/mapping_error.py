@@ -1,4 +1,4 @@
-"""How far eq. (3) is from the exact mirror: the table and the figure.
+"""Error of eq. (3) against the exact mirror: table and figure.
 
 Run from the root of the checkout, in its environment:
 
@@ -35,8 +35,10 @@ LIMITS_DEG = (60, 75, 85)
 SHAPES: tuple[Shape, ...] = ("sphere", "ellipsoid")
 
 
-def seen(w_c: FloatArray, ratio: float, shape: Shape, mapping: Mapping, R: float = R) -> FloatArray:
-    """Directions from the sample that the camera's chief rays (n, 3) see."""
+def chief_ray_directions(
+    w_c: FloatArray, ratio: float, shape: Shape, mapping: Mapping, R: float = R
+) -> FloatArray:
+    """Directions from the sample along the camera's chief rays (n, 3)."""
     D = ratio * R
     pupil = np.array([0.0, -D, 0.0])
     return reflected_directions(pupil, w_c, R=R, D=D, shape=shape, mapping=mapping)[0]
@@ -54,7 +56,11 @@ def errors(ratio: float, shape: Shape, n: int = 400) -> tuple[FloatArray, FloatA
         R=R, D=D, shape=shape, mapping="exact",
     )  # fmt: skip
     solid_angle = weight * np.linalg.norm(np.cross(d_theta, d_phi), axis=1)
-    return np.degrees(angles(w_r)[0]), apart(w_r, seen(w_c, ratio, shape, "eq3")), solid_angle
+    return (
+        np.degrees(angles(w_r)[0]),
+        apart(w_r, chief_ray_directions(w_c, ratio, shape, "eq3")),
+        solid_angle,
+    )
 
 
 def apart(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -63,16 +69,16 @@ def apart(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    """Value that half of the weight lies below."""
+    """Value below which half of the weight lies."""
     order = np.argsort(values)
     share = np.cumsum(weights[order]) - weights[order] / 2
     return float(np.interp(0.5 * weights.sum(), share, values[order]))
 
 
 def largest_with(ratio: float, length: float) -> float:
-    """Largest error on the ellipsoid, theta_r <= 85 deg, with another length in the place of R."""
+    """Largest error on the ellipsoid, theta_r <= 85 deg, with another length in place of R."""
     theta, phi, _ = hemisphere_quadrature(200, 400)
-    exact = seen(unit_vectors(theta, phi), ratio, "ellipsoid", "exact")
+    exact = chief_ray_directions(unit_vectors(theta, phi), ratio, "ellipsoid", "exact")
     ward = unit_vectors(*reflected_angles(theta, phi, R=length, D=ratio * R))
     inside = exact[:, 2] >= np.cos(np.radians(85))
     return float(apart(exact, ward)[inside].max())
@@ -90,12 +96,12 @@ def table() -> str:
         for shape in SHAPES:
             theta_r, error, weight = errors(ratio, shape)
             digits = 3 if error.max() > 1e-3 else 4
-            found = []
+            errors_of_shape = []
             for limit in LIMITS_DEG:
                 inside = theta_r <= limit
                 median = weighted_median(error[inside], weight[inside])
-                found.append(f"{median:.{digits}f}/{error[inside].max():.{digits}f}")
-            cells.append(", ".join(found))
+                errors_of_shape.append(f"{median:.{digits}f}/{error[inside].max():.{digits}f}")
+            cells.append(", ".join(errors_of_shape))
         a = R * float(np.hypot(1, ratio))
         others = [f"{largest_with(ratio, length):.4f}" for length in (a, (2 * R + a) / 3)]
         rows.append(f"| {ratio:.2f} | {' | '.join([*cells, *others])} |")
@@ -123,7 +129,7 @@ def _draw_map(ax: Any, shape: Shape) -> None:
     # Eq. (3) and its inverse lead from a direction by eq. (3) to the ray that is meant.
     w_c = unit_vectors(*camera_angles(*angles(w_r), R=R, D=0.1 * R))
     error = np.full(x.shape, np.nan)
-    error[inside] = apart(seen(w_c, 0.1, shape, "exact"), w_r)
+    error[inside] = apart(chief_ray_directions(w_c, 0.1, shape, "exact"), w_r)
     picture = ax.pcolormesh(x, y, error, cmap="viridis", vmin=0, rasterized=True)
     ax.figure.colorbar(picture, ax=ax, label="error of eq. (3), deg", shrink=0.85)
     turn = np.linspace(0, 2 * np.pi, 361)

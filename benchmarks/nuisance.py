@@ -1,4 +1,4 @@
-"""Do intervals hold the truth where samples share errors? Three ways of dealing with them.
+"""Coverage of the intervals where samples share errors, by three ways to treat these.
 
 Run from the root of the checkout, in its environment:
 
@@ -8,13 +8,13 @@ Run from the root of the checkout, in its environment:
 Every run draws the error of a standard that is known to 2 %, of a lamp that drifts by 1 % and of an
 azimuth known to 0.5 deg, makes data of a brushed surface with them and fits these
 
-- `independent`: as if the samples shared no errors;
+- `independent`: without shared errors;
 - `propagated`: the shared errors are added to the uncertainties, as `gonio fit` does;
 - `profiled`: they are nuisance parameters with priors, as in `gonio fit --nuisance all`.
 
-The table counts how often the 95 % interval of each parameter holds the true value, with the
-range in which a count lies 95 times of 100 where the intervals are right, and how wide it is. The
-rows of a profiled error count its draws by their estimate and standard uncertainty.
+The table counts how often the 95 % interval of each parameter covers the true value, with the 95 %
+range of that count for correct intervals, and gives the width of the interval. The rows of a
+profiled error count its draws by their estimate and standard uncertainty.
 
 Samples are Ward's model at five incidences and three rotations, four fifths of them about the lobe,
 with noise of 1 % that is known; the lamp's draw is one for each incidence. With --frames they come
@@ -60,12 +60,12 @@ FIELDS = (
 )  # fmt: skip
 
 
-class Seen(NamedTuple):
-    """One interval of one run: whether it holds the truth, and its width over the truth."""
+class IntervalCheck(NamedTuple):
+    """One interval of one run: whether it covers the truth, and its width over the truth."""
 
     way: str
     quantity: str
-    held: bool
+    covers: bool
     width: float
 
 
@@ -82,11 +82,11 @@ def samples(seed: int, n: int = N_SAMPLES) -> tuple[BRDFSamples, dict[str, Float
     model = get_model("ward")
     where = Directions(*angles(w_i), *angles(w_r))
     off = float(turn * draws["azimuth"][0])
-    seen = replace(where, phi_i=where.phi_i - off, phi_r=where.phi_r - off)
+    stated = replace(where, phi_i=where.phi_i - off, phi_r=where.phi_r - off)
     factor = (1 + U_STANDARD * draws["standard"]) * (1 + U_LAMP * draws["lamp"][incidence])
     # The noise is known, not taken from the noisy values: those would pull the fit down.
     u = NOISE * model(where, **SURFACE)
-    value = model(seen, **SURFACE) * factor + u * rng.standard_normal(len(u))
+    value = model(stated, **SURFACE) * factor + u * rng.standard_normal(len(u))
     shared = (
         SharedTerm("standard", "reflectance of the standard", U_STANDARD),
         SharedTerm("lamp", "output at each incidence", U_LAMP, group=incidence),
@@ -99,7 +99,7 @@ def _directions(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArra
     """Directions in the frame of the sample and the number of the incidence of each."""
     each = n // (len(INCIDENCES_DEG) * len(ROTATIONS_DEG))
     widths = [SURFACE["alpha_x"], SURFACE["alpha_y"]]
-    found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for k, theta in enumerate(np.radians(INCIDENCES_DEG)):
         for psi in np.radians(ROTATIONS_DEG):
             light = rotated(unit_vectors(theta, 0.0), psi)
@@ -109,81 +109,85 @@ def _directions(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArra
             h /= np.linalg.norm(h, axis=1, keepdims=True)
             out = 2 * (h @ light)[:, None] * h - light
             out = out[out[:, 2] > 0.17][:each]  # up to 80 deg
-            found.append((np.tile(light, (len(out), 1)), out, np.full(len(out), k)))
-    w_i, w_r, incidence = (np.concatenate(part) for part in zip(*found, strict=True))
+            parts.append((np.tile(light, (len(out), 1)), out, np.full(len(out), k)))
+    w_i, w_r, incidence = (np.concatenate(part) for part in zip(*parts, strict=True))
     return w_i, w_r, incidence
 
 
 def of_frames(seed: int) -> BRDFSamples:
     """The same errors on the way from raw frames of modern12."""
-    rig = preset("modern12")
+    instrument = preset("modern12")
     parts = {
         "standard": {"uncertainty": U_STANDARD},
         "lamp": {"drift": U_LAMP},
         "holder": {"u_azimuth_deg": U_AZIMUTH_DEG},
     }
-    changed = {part: getattr(rig, part).model_copy(update=new) for part, new in parts.items()}
-    rig = rig.model_copy(update=changed)
-    own = default_plan(rig, anisotropic=True).model_dump()
-    plan = Plan.model_validate(own | {"theta_i_deg": INCIDENCES_DEG[::2]})
+    changed = {
+        part: getattr(instrument, part).model_copy(update=new) for part, new in parts.items()
+    }
+    instrument = instrument.model_copy(update=changed)
+    default = default_plan(instrument, anisotropic=True).model_dump()
+    plan = Plan.model_validate(default | {"theta_i_deg": INCIDENCES_DEG[::2]})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "session"
         gonio.simulate(
-            model="ward", parameters=SURFACE, output=path, instrument=rig, plan=plan, seed=seed,
-            threads=1, truth_images=False,
+            model="ward", parameters=SURFACE, output=path, instrument=instrument, plan=plan,
+            seed=seed, threads=1, truth_images=False,
         )  # fmt: skip
-        found = gonio.reduce(path, threads=1)
+        reduced = gonio.reduce(path, threads=1)
         shutil.rmtree(path)
-    return found
+    return reduced
 
 
-def run(seed: int, *, frames: bool) -> list[Seen]:
+def run(seed: int, *, frames: bool) -> list[IntervalCheck]:
     """Fit one data set in every way."""
     data, draws = (of_frames(seed), {}) if frames else samples(seed)
-    seen = []
+    checks = []
     for way in WAYS:
         used = replace(data, shared=()) if way == "independent" else data
         result = gonio.fit(
             used, model="ward", threads=1, nuisance="all" if way == "profiled" else "none"
         )
-        seen += _parameters(way, result)
-        seen += _draws(way, result, draws)
-    return seen
+        checks += _parameters(way, result)
+        checks += _draws(way, result, draws)
+    return checks
 
 
-def _parameters(way: str, result: FitResult) -> Iterator[Seen]:
+def _parameters(way: str, result: FitResult) -> Iterator[IntervalCheck]:
     for q in get_model("ward").parameters:
         true = q.to_file(SURFACE[q.name])
         interval = result.parameters[q.name].in_file_units().interval_95
         assert interval is not None, f"{q.name} is not determined"
         low, high = interval
-        yield Seen(way, q.name, low <= true <= high, 100 * (high - low) / true)
+        yield IntervalCheck(way, q.name, low <= true <= high, 100 * (high - low) / true)
 
 
-def _draws(way: str, result: FitResult, draws: dict[str, FloatArray]) -> Iterator[Seen]:
+def _draws(way: str, result: FitResult, draws: dict[str, FloatArray]) -> Iterator[IntervalCheck]:
     reach = float(stats.norm.ppf(0.975))
     for name, true in draws.items():
         for e, z in zip((e for e in result.nuisance if e.name == name), true, strict=False):
-            yield Seen(way, f"draw of {name}", abs(e.estimate - z) <= reach * e.stderr, np.nan)
+            yield IntervalCheck(
+                way, f"draw of {name}", abs(e.estimate - z) <= reach * e.stderr, np.nan
+            )
 
 
-def table(seen: list[Seen]) -> list[dict[str, object]]:
+def table(checks: list[IntervalCheck]) -> list[dict[str, object]]:
     """Counts and median widths by way and quantity, in the order in which they appear."""
     rows: list[dict[str, object]] = []
-    for way, quantity in dict.fromkeys((one.way, one.quantity) for one in seen):
-        own = [one for one in seen if (one.way, one.quantity) == (way, quantity)]
-        held, n = sum(one.held for one in own), len(own)
+    for way, quantity in dict.fromkeys((one.way, one.quantity) for one in checks):
+        group = [one for one in checks if (one.way, one.quantity) == (way, quantity)]
+        n_covered, n = sum(one.covers for one in group), len(group)
         least, most = stats.binom.interval(0.95, n, 0.95)
-        width = float(np.median([one.width for one in own]))
+        width = float(np.median([one.width for one in group]))
         rows.append(
             {
                 "way": way,
                 "quantity": quantity,
                 "runs": n,
-                "held": held,
+                "held": n_covered,
                 "least": int(least),
                 "most": int(most),
-                "held_percent": f"{100 * held / n:.1f}",
+                "held_percent": f"{100 * n_covered / n:.1f}",
                 "width_percent": "" if np.isnan(width) else f"{width:.3g}",
             }
         )
@@ -213,12 +217,12 @@ def main() -> int:
     options = parser.parse_args()
     runs = options.runs or (24 if options.frames else 200)
     seeds = range(options.seed, options.seed + runs)
-    seen: list[Seen] = []
+    checks: list[IntervalCheck] = []
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = [pool.submit(run, seed, frames=options.frames) for seed in seeds]
         for k, job in enumerate(jobs, start=1):
-            seen += job.result()
-            write(options.output, table(seen))
+            checks += job.result()
+            write(options.output, table(checks))
             print(f"\r{k} of {runs}", end="", file=sys.stderr)
     print(file=sys.stderr)
     return 0

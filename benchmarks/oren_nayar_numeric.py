@@ -2,8 +2,8 @@
 
 Run from the root of the checkout: python -m benchmarks.oren_nayar_numeric
 
-Speeds are of one thread, by the clock and by processor time: where the two differ, the machine had
-other things to do. The error of the integral is that against 40 nodes where it has 14 and 12, the
+Speeds are of one thread, by the clock and by processor time, which differ where the machine was
+busy. The error of the integral is that against 40 nodes where it has 14 and 12, the
 error of the table that against the integral; both are of f, rho = 0.8, polar angles to 85 deg.
 """
 
@@ -51,14 +51,14 @@ def pairs(n: int, near_kink: bool = False) -> tuple[FloatArray, FloatArray]:
 def converged(w_i: FloatArray, w_r: FloatArray, p: FloatArray) -> FloatArray:
     """f with 40 nodes in slope and azimuth, by the interpreter."""
     x, w = np.polynomial.legendre.leggauss(40)
-    kept = _vcavity._SLOPE, _vcavity._AZIMUTH
+    original = _vcavity._SLOPE, _vcavity._AZIMUTH
     nodes = [(float(a), float(b)) for a, b in zip(x, w, strict=True)]
     try:
         _vcavity._SLOPE = tuple(((1 + a) / 2, b / 2) for a, b in nodes)  # type: ignore[assignment]
         _vcavity._AZIMUTH = tuple((a, b) for a, b in nodes if a > 0)  # type: ignore[assignment]
         return np.array([kernel(*i, *r, *p)[0] for i, r in zip(w_i, w_r, strict=True)])
     finally:
-        _vcavity._SLOPE, _vcavity._AZIMUTH = kept
+        _vcavity._SLOPE, _vcavity._AZIMUTH = original
 
 
 def quantiles(error: FloatArray) -> str:

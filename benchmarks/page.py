@@ -1,4 +1,4 @@
-"""A run of the benchmarks as text: for the terminal, and as docs/benchmarks.md."""
+"""A run of the benchmarks as text for the terminal and as docs/benchmarks.md."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def processor() -> str:
 
 
 def versions() -> dict[str, str | None]:
-    """Versions of Python and of what is measured; None for what is not installed."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
+    """Versions of Python and of the measured packages; None for one that is not installed."""
+    installed: dict[str, str | None] = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
-            found[name] = None
-    return found
+            installed[name] = None
+    return installed
 
 
 def rate(value: float | None) -> str:
@@ -88,18 +88,18 @@ def cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def about(report: dict[str, Any]) -> list[str]:
-    """What ran where, and how long a start takes."""
+    """Machine, versions, and the time that a start takes."""
     machine, start = report["machine"], report["start_up_s"]
-    there = [f"{name} {which}" for name, which in report["versions"].items() if which]
+    installed = [f"{name} {version}" for name, version in report["versions"].items() if version]
     return [
         f"{machine['processor']}, {machine['cores']} cores.",
-        ", ".join(there) + ".",
+        ", ".join(installed) + ".",
         f"`gonio --help` takes {start['gonio --help']:.2f} s, of which Python alone "
         f"{start['python']:.2f} s.",
     ]
 
 
-def given(part: dict[str, Any], report: dict[str, Any]) -> str:
+def cores_of(part: dict[str, Any], report: dict[str, Any]) -> str:
     """The cores that a section had."""
     return f"{part['cores_given']:.1f} of {report['machine']['cores']} cores given"
 
@@ -119,7 +119,7 @@ def terminal(report: dict[str, Any]) -> str:
 
     lines = [line(HEADINGS)]
     for part, rows in zip(report["sections"], tables, strict=True):
-        lines += ["", f"{part['section']}: {given(part, report)}", *(line(row) for row in rows)]
+        lines += ["", f"{part['section']}: {cores_of(part, report)}", *(line(row) for row in rows)]
     calls = [f"first call of {name}: {time_s:.2f} s" for name, time_s in first_calls(report)]
     return "\n".join([*lines, "", *about(report), *calls])
 
@@ -140,7 +140,7 @@ def write(path: Path, report: dict[str, Any]) -> None:
     """The page with the tables of one run and the command that made them."""
     text = [HEAD, f"Made by\n\n```sh\n{report['command']}\n```\n", "\n\n".join(about(report))]
     for part in report["sections"]:
-        text += [f"\n## {part['section'].capitalize()}\n", given(part, report) + "\n"]
+        text += [f"\n## {part['section'].capitalize()}\n", cores_of(part, report) + "\n"]
         text += [markdown(HEADINGS, "lrrll", [cells(row) for row in part["rows"]])]
     if calls := [(name, f"{time_s:.2f}") for name, time_s in first_calls(report)]:
         text += ["", FIRST_CALL, markdown(("first call of", "s"), "lr", calls)]

@@ -2,12 +2,12 @@
 
 Run from the root of the checkout: python -m benchmarks --only peers
 
-They come with the extra `bench`; one that is absent is skipped with a word. That all of them agree
-with gonio is tested in tests/test_peers.py; here they are timed, in turn with ours, one thread
-against one thread.
+They come with the extra `bench`; one that is absent is skipped, and the table says so.
+tests/test_peers.py tests that all of them agree with gonio; this module times them in turn with
+ours, one thread against one thread.
 
 Mitsuba's vectorised variants need LLVM 16 or newer as a shared library: DRJIT_LIBLLVM_PATH names
-it. A version that Dr.Jit cannot use ends the process, so that they run in one of their own.
+it. A version that Dr.Jit cannot use ends the process; therefore they run in a process of their own.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ DIRECT = "-ab 0 -aa 0 -av 0 0 0 -dj 0 -ds 0 -dt 0 -st 1 -ss 0 -lw 0"
 
 
 class AbsentError(Exception):
-    """The peer is not installed or cannot run; the text says why."""
+    """The peer is not installed or cannot run; the text gives the reason."""
 
 
 def load(module: str) -> Any:
@@ -89,10 +89,10 @@ def mitsuba_scalar() -> Work:
     mi = load("mitsuba")
     mi.set_variant("scalar_rgb")
     surface, context = conductor(mi, "beckmann"), mi.BSDFContext()
-    at, both = mi.SurfaceInteraction3f(), [w.tolist() for w in pairs(np.float32, FEW)]
+    at, vectors = mi.SurfaceInteraction3f(), [w.tolist() for w in pairs(np.float32, FEW)]
 
     def work() -> None:
-        for i, r in zip(*both, strict=True):
+        for i, r in zip(*vectors, strict=True):
             at.wi = mi.Vector3f(*i)
             surface.eval(context, at, mi.Vector3f(*r))
 
@@ -124,8 +124,8 @@ def radiance_formula() -> Work:
     formula = radiance.BINPATH.parent / "lib" / "WGMDaniso.cal"
     command = [radiance.BINPATH / "rcalc", "-id6", "-od", "-f", formula,
                "-e", "$1=wgmdaniso($1,$2,$3,$4,$5,$6)"]  # fmt: skip
-    both = np.concatenate(pairs(np.float64), axis=1).tobytes()
-    return lambda: subprocess.run(command, input=both, capture_output=True, check=True)
+    data = np.concatenate(pairs(np.float64), axis=1).tobytes()
+    return lambda: subprocess.run(command, input=data, capture_output=True, check=True)
 
 
 def radiance_rays() -> Work:
@@ -179,7 +179,7 @@ class Comparison:
     apart: bool = False
 
     def named(self) -> Row:
-        """The row without figures."""
+        """The row without values."""
         single = ", float32" if self.real is np.float32 else ""
         return Row(self.model + single, None, self.peer, None, self.note)
 
@@ -231,20 +231,20 @@ COMPARISONS = (
 )
 
 
-def here(it: Comparison) -> Row:
+def in_this_process(comparison: Comparison) -> Row:
     """A comparison in this process."""
-    works = {"peer": it.prepare(), "ours": ours(it.model, it.real)}
+    works = {"peer": comparison.prepare(), "ours": ours(comparison.model, comparison.real)}
     times = best_in_turn(works)
     mine = N / times["ours"]
-    return replace(it.named(), ours_per_s=mine, ratio=mine * times["peer"] / it.n)
+    return replace(comparison.named(), ours_per_s=mine, ratio=mine * times["peer"] / comparison.n)
 
 
-def elsewhere(it: Comparison) -> Row:
+def in_own_process(comparison: Comparison) -> Row:
     """A comparison in a process of its own."""
     for package in ("mitsuba", "drjit"):
         if importlib.util.find_spec(package) is None:
             raise AbsentError(f"{package} is not installed")
-    command = [sys.executable, "-m", "benchmarks.peers", str(COMPARISONS.index(it))]
+    command = [sys.executable, "-m", "benchmarks.peers", str(COMPARISONS.index(comparison))]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         if "LLVM" not in done.stdout + done.stderr:
@@ -253,12 +253,12 @@ def elsewhere(it: Comparison) -> Row:
     return Row(**json.loads(done.stdout.splitlines()[-1]))
 
 
-def compared(it: Comparison) -> Row:
+def compared(comparison: Comparison) -> Row:
     """One line of the table."""
     try:
-        return elsewhere(it) if it.apart else here(it)
+        return in_own_process(comparison) if comparison.apart else in_this_process(comparison)
     except AbsentError as reason:
-        return replace(it.named(), note=f"skipped: {reason}")
+        return replace(comparison.named(), note=f"skipped: {reason}")
 
 
 def run() -> list[Row]:
@@ -267,4 +267,4 @@ def run() -> list[Row]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(asdict(here(COMPARISONS[int(sys.argv[1])]))))
+    print(json.dumps(asdict(in_this_process(COMPARISONS[int(sys.argv[1])]))))

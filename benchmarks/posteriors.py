@@ -1,4 +1,4 @@
-"""Posteriors: effective draws a second, against emcee as one writes it."""
+"""Posteriors: effective draws a second, against emcee with a numpy model."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def measured(n: int = N, seed: int = 0) -> BRDFSamples:
     return BRDFSamples(where, f + sd * rng.standard_normal(n), u_independent=sd)
 
 
-def plain_log_posterior(samples: BRDFSamples) -> Callable[[FloatArray], float]:
+def numpy_log_posterior(samples: BRDFSamples) -> Callable[[FloatArray], float]:
     """Flat priors and Gaussian noise in numpy, for one walker."""
     (x_i, y_i, z_i), (x_r, y_r, z_r) = (np.array(w.T) for w in samples.directions.vectors())
     bounds = [(q.lower, q.upper) for q in models.get("ward").parameters]
@@ -54,10 +54,10 @@ def plain_log_posterior(samples: BRDFSamples) -> Callable[[FloatArray], float]:
     return log_posterior
 
 
-def plain(samples: BRDFSamples, found: Minimum, sd: FloatArray) -> FloatArray:
+def emcee_chains(samples: BRDFSamples, minimum: Minimum, sd: FloatArray) -> FloatArray:
     """emcee's stretch move from a ball about the minimum, (walkers, steps, parameters)."""
-    sampler = emcee.EnsembleSampler(32, len(sd), plain_log_posterior(samples))
-    start = found.optimum.p + sd * np.random.default_rng(1).standard_normal((32, len(sd)))
+    sampler = emcee.EnsembleSampler(32, len(sd), numpy_log_posterior(samples))
+    start = minimum.optimum.p + sd * np.random.default_rng(1).standard_normal((32, len(sd)))
     state = sampler.run_mcmc(start, 200)
     sampler.reset()
     sampler.run_mcmc(state, STEPS)
@@ -72,18 +72,18 @@ def effective(chains: FloatArray) -> float:
 def run() -> list[Row]:
     """Effective draws a second on one thread, burn-in and searches included."""
     samples = measured()
-    found = find_minimum(samples, models.get("ward"), threads=1)
-    errors, _ = uncertainties(found)
+    minimum = find_minimum(samples, models.get("ward"), threads=1)
+    errors, _ = uncertainties(minimum)
     sd = np.sqrt(np.diag(errors.covariance))
 
     def ours(sampler: posterior.Sampler) -> FloatArray:
-        problem, optimum = found.problem, found.optimum
+        problem, optimum = minimum.problem, minimum.optimum
         return posterior.sample(
             Minimum.of(problem, optimum, 1.0), errors, seed=1, sampler=sampler
         ).draws
 
     works: dict[str, Callable[[], FloatArray]] = {
-        "plain": lambda: plain(samples, found, sd),
+        "plain": lambda: emcee_chains(samples, minimum, sd),
         "emcee": lambda: ours("emcee"),
         "marginal": lambda: ours("marginal"),
     }

@@ -1,4 +1,4 @@
-"""Materials drawn at random, fitted without help: how far off, and what fails and why.
+"""Random materials, fitted without starting values: errors, failures and their reasons.
 
 Run from the root of the checkout, in its environment:
 
@@ -32,7 +32,7 @@ from gonio.samples import BRDFSamples
 
 FAR = 5.0  # stated standard uncertainties
 NOISE = (0.01, 0.05)  # of f
-FLOOR = 1e-3  # of the mean of f: what the darkest samples have at least
+FLOOR = 1e-3  # smallest noise, of the mean of f
 ALPHA, RHO_S = (0.02, 0.4), (0.005, 0.5)
 # Ranges from which parameters are drawn evenly, or by the logarithm.
 DRAWN: dict[str, dict[str, tuple[float, float, bool]]] = {
@@ -165,11 +165,11 @@ def main() -> int:
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     names = arguments.model or list(DRAWN)
-    for found in campaign(names, arguments.materials, arguments.seed, arguments.workers):
-        rows += found
-        failed = [f"{row['parameter']} {row['reason']}" for row in found if row["reason"]]
+    for drawn in campaign(names, arguments.materials, arguments.seed, arguments.workers):
+        rows += drawn
+        failed = [f"{row['parameter']} {row['reason']}" for row in drawn if row["reason"]]
         if failed:
-            print(f"{found[0]['model']} {found[0]['material']}: {', '.join(failed)}")
+            print(f"{drawn[0]['model']} {drawn[0]['material']}: {', '.join(failed)}")
     for line in summarised(rows):
         print("  ".join(str(line[name]) for name in SUMMARY))
     write(arguments.output / "random_materials.csv", SUMMARY, summarised(rows))

@@ -6,11 +6,10 @@ Run from the root of the checkout, in its environment:
 
 Each material is simulated on the named instrument with photon and read noise, reduced and fitted
 with its own model without any help; the table holds truth, recovered value, standard uncertainty,
-relative error, the error in standard uncertainties, and, for parameters in which f is linear, the
-error without the part that the white standard brings by not being what its certificate says: no
-reduction can know of that. One material takes some ten seconds.
-`--mapping exact` reduces by the law of reflection instead of eq. (3); `--materials a,b` takes these
-only.
+relative error, and the error in standard uncertainties. For parameters in which f is linear it also
+holds the error without the part by the white standard, whose true reflectance differs from its
+certificate; no reduction can correct that. One material takes some ten seconds. `--mapping exact`
+reduces by the law of reflection instead of eq. (3); `--materials a,b` selects materials.
 """
 
 from __future__ import annotations
@@ -93,9 +92,11 @@ def main() -> int:
             get(material)  # an unknown name stops here, with a hint
             # A material has its seed whichever others are asked for.
             seed = arguments.seed + names().index(material)
-            found = recover(material, arguments.instrument, seed, Path(folder), arguments.mapping)
-            rows += found
-            worst = max(abs(float(str(r["error_percent"]))) for r in found)
+            recovered = recover(
+                material, arguments.instrument, seed, Path(folder), arguments.mapping
+            )
+            rows += recovered
+            worst = max(abs(float(str(r["error_percent"]))) for r in recovered)
             print(f"{material}: worst {worst:.3f} %", file=sys.stderr)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(arguments.output) as temporary, temporary.open("w", newline="") as file:

@@ -1,4 +1,4 @@
-"""Simulation-based calibration: are the stated uncertainties as large as the errors are?
+"""Simulation-based calibration: stated uncertainties against true errors.
 
 Run from the root of the checkout, in its environment:
 
@@ -6,8 +6,8 @@ Run from the root of the checkout, in its environment:
 
 Parameters are drawn from the prior, a data set is made with them and fitted. If the posteriors are
 right, the rank of the truth among independent draws of its posterior is uniform (Talts et al.
-2018, arXiv:1804.06788), and the intervals hold the truth as often as they say. `--raw` keeps one
-line a set and parameter; where the file exists, the sets that it holds are not run again.
+2018, arXiv:1804.06788), and the intervals cover the truth at their nominal rates. `--raw` writes
+one line a set and parameter; the sets in an existing file are not run again.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def one_set(case: str, lie: Lie, number: int, seed: int) -> list[dict[str, Any]]
     data = drawn(CASES[case], rng, lie)
     model = CASES[case].fitted
     fitter = int(rng.integers(0, 2**31))
-    plain = gonio.fit(data.samples, model=model, threads=1)
+    least_squares = gonio.fit(data.samples, model=model, threads=1)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "draws.nc"
         sampled = gonio.fit(
@@ -66,7 +66,7 @@ def one_set(case: str, lie: Lie, number: int, seed: int) -> list[dict[str, Any]]
     rows = []
     for j, q in enumerate(model.parameters):
         truth = q.to_file(float(data.truth[j]))
-        estimate = plain.parameters[q.name].in_file_units()
+        estimate = least_squares.parameters[q.name].in_file_units()
         rows.append(
             {
                 "case": case,
@@ -77,13 +77,13 @@ def one_set(case: str, lie: Lie, number: int, seed: int) -> list[dict[str, Any]]
                 "value": f"{estimate.value:.8g}",
                 "stderr": "" if estimate.stderr is None else f"{estimate.stderr:.5g}",
                 "rank": rank(truth, draws[:, j], rng),
-                **held("posterior", sampled, q.name, truth),
-                **held("least_squares", plain, q.name, truth),
-                "status": plain.status,
+                **coverage("posterior", sampled, q.name, truth),
+                **coverage("least_squares", least_squares, q.name, truth),
+                "status": least_squares.status,
                 "posterior_converged": int(sampled.posterior.converged),
-                "chi2_per_dof": f"{plain.chi2 / plain.dof:.4g}",
+                "chi2_per_dof": f"{least_squares.chi2 / least_squares.dof:.4g}",
                 "noise": f"{data.noise:.4g}",
-                "n_samples": plain.n_samples,
+                "n_samples": least_squares.n_samples,
             }
         )
     return rows
@@ -99,13 +99,13 @@ def thinned(path: Path, names: Sequence[str]) -> FloatArray:
 
 
 def rank(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
-    """How many draws lie below the truth; one that equals it, on a bound, is tossed for."""
+    """How many draws lie below the truth; for equal values, at a bound, a coin decides."""
     ties = int(np.count_nonzero(draws == truth))
     return int(np.count_nonzero(draws < truth)) + int(rng.integers(0, ties + 1))
 
 
-def held(kind: str, result: FitResult, name: str, truth: float) -> dict[str, Any]:
-    """Whether each interval holds the truth: 1, 0, or empty where none is stated."""
+def coverage(kind: str, result: FitResult, name: str, truth: float) -> dict[str, Any]:
+    """Whether each interval covers the truth: 1, 0, or empty where none is stated."""
     estimate = result.parameters[name].in_file_units()
     intervals = {"68": estimate.interval_68, "95": estimate.interval_95}
     return {
@@ -126,11 +126,11 @@ def campaign(
         yield from pool.map(one_set, *zip(*tasks, strict=True)) if tasks else ()
 
 
-# ---------------------------------------------------------------- what the rows say
+# ---------------------------------------------------------------- summary
 
 
 def summarised(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One line a case and parameter: uniformity of the ranks, and how often intervals hold."""
+    """One line a case and parameter: uniformity of the ranks, and coverage of the intervals."""
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
         key = tuple(str(row[name]) for name in ("case", "lie", "parameter"))
@@ -154,9 +154,9 @@ def _summary(group: list[dict[str, Any]]) -> dict[str, Any]:
         "ranks": " ".join(map(str, counts)),
     }
     for kind, (level, share) in itertools.product(INTERVALS, LEVELS.items()):
-        known = [int(row[f"{kind}_{level}"]) for row in group if row[f"{kind}_{level}"] != ""]
-        line[f"{kind}_{level}"] = f"{100 * sum(known) / len(known):.1f}" if known else ""
-        p = stats.binomtest(sum(known), len(known), share).pvalue if known else 1.0
+        covered = [int(row[f"{kind}_{level}"]) for row in group if row[f"{kind}_{level}"] != ""]
+        line[f"{kind}_{level}"] = f"{100 * sum(covered) / len(covered):.1f}" if covered else ""
+        p = stats.binomtest(sum(covered), len(covered), share).pvalue if covered else 1.0
         line[f"{kind}_{level}_p"] = f"{p:.3g}"
     return line
 
@@ -181,18 +181,18 @@ def read(path: Path) -> list[dict[str, Any]]:
 def appended(path: Path, sets: Iterable[list[dict[str, Any]]]) -> None:
     """Add the rows of each set to the file as they come."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    kept = read(path)
+    complete = read(path)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, RAW)
         writer.writeheader()
-        writer.writerows(kept)
+        writer.writerows(complete)
         for rows in sets:
             writer.writerows(rows)
             file.flush()
 
 
 def write_summary(path: Path, lines: list[dict[str, Any]]) -> None:
-    """The table of `summarised` as CSV; lines of other cases that stand there stay."""
+    """The table of `summarised` as CSV; lines of other cases in the file stay."""
     keys = {(line["case"], line["lie"], line["parameter"]) for line in lines}
     if path.exists():
         with path.open(newline="", encoding="utf-8") as file:
@@ -223,26 +223,26 @@ def main() -> int:
     arguments = parser.parse_args()
     lines = []
     for case in arguments.case or CASES:
-        wanted = set(range(arguments.sets))
+        numbers = set(range(arguments.sets))
         have = {
             int(r["set"])
             for r in read(arguments.raw)
             if (r["case"], r["lie"]) == (case, arguments.lie)
         }
-        missing = sorted(wanted - have)
-        print(f"{case}: {len(missing)} of {len(wanted)} sets to run", file=sys.stderr)
+        missing = sorted(numbers - have)
+        print(f"{case}: {len(missing)} of {len(numbers)} sets to run", file=sys.stderr)
         appended(
             arguments.raw,
             campaign([case], arguments.lie, missing, arguments.seed, arguments.workers),
         )
         rows = [r for r in read(arguments.raw) if (r["case"], r["lie"]) == (case, arguments.lie)]
-        lines += summarised(r for r in rows if int(r["set"]) in wanted)
+        lines += summarised(r for r in rows if int(r["set"]) in numbers)
     for line in lines:
         bad = ", ".join(failures(line))
-        figures = "  ".join(f"{line[f'{k}_{v}']:>5}" for k in INTERVALS for v in LEVELS)
+        shares = "  ".join(f"{line[f'{k}_{v}']:>5}" for k in INTERVALS for v in LEVELS)
         print(
             f"{line['case']:<28} {line['parameter']:<12} {line['sets']:>5} sets  "
-            f"rank p {line['rank_p']:>8}  {figures}  {'FAILS: ' + bad if bad else ''}"
+            f"rank p {line['rank_p']:>8}  {shares}  {'FAILS: ' + bad if bad else ''}"
         )
     if arguments.output:
         write_summary(arguments.output, lines)

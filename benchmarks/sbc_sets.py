@@ -1,9 +1,9 @@
 """Data sets with known parameters for `benchmarks.sbc`: drawn from the prior that the fit uses.
 
-Ranks of the truth in the posterior are uniform only if the truth is drawn from the very prior of
-the fit, and if nothing that the fit is told as known depends on the truth. So the prior is flat
-between the bounds of a case, which are also the bounds of the model that is fitted; the directions
-and the stated uncertainties of the samples are drawn without looking at the truth.
+Ranks of the truth in the posterior are uniform only if the truth is drawn from the prior of the
+fit, and if no input of the fit depends on the truth. So the prior is flat between the bounds of a
+case, which are also the bounds of the fitted model; the directions and the stated uncertainties of
+the samples are drawn independently of the truth.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ DEG = np.pi / 180
 
 @dataclass(frozen=True)
 class Case:
-    """What is simulated and fitted.
+    """A case to simulate and fit.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Case:
 
 ALPHA = (0.02, 0.4)
 WIDE_ALPHA = (0.06, 0.4)  # a pixel of the small instrument is 0.025 rad wide
-DULL = (0.1, 1.0)  # where nothing is reflected no shape can be told
+DULL = (0.1, 1.0)  # a surface that reflects nothing does not determine a shape
 CASES = {
     "ward": Case("ward", {"alpha_x": ALPHA, "alpha_y": ALPHA}),
     "ward_isotropic": Case("ward_isotropic", {"alpha": ALPHA}),
@@ -101,7 +101,7 @@ class DataSet:
 
 
 def drawn(case: Case, rng: np.random.Generator, lie: Lie = "none") -> DataSet:
-    """A data set of the case; `lie` is what the samples state wrongly."""
+    """A data set of the case; `lie` names the wrong statement of the samples."""
     fitted = case.fitted
     lower = np.array([q.lower for q in fitted.parameters])
     upper = np.array([q.upper for q in fitted.parameters])
@@ -133,8 +133,8 @@ def _from_samples(
 def some_directions(rng: np.random.Generator) -> Directions:
     """Several incidences, each with views about the mirror direction and all over the hemisphere.
 
-    The half vectors of half the views form clouds about the normal of many widths, so that a lobe
-    of any width is met by some.
+    The half vectors of half the views form clouds about the normal of many widths, so that
+    some of them sample a lobe of any width.
     """
     n, n_i = int(rng.integers(*N_SAMPLES)), int(rng.integers(*N_INCIDENCES))
     incidence = rng.integers(0, n_i, n)
@@ -157,17 +157,18 @@ def _from_frames(case: Case, truth: FloatArray, rng: np.random.Generator) -> Dat
     """Frames of a small, ideal instrument, reduced; the noise is set by the light of the lamp."""
     model = models.get(case.model)
     light = float(np.exp(rng.uniform(*np.log(LIGHT))))
-    rig = small_instrument(light)
+    instrument = small_instrument(light)
     plan = Plan(
         theta_i_deg=tuple(float(a) for a in np.sort(rng.uniform(0, 70, 3))),
         rotations_deg=(0.0,) if model.claims.isotropic else (0.0, float(rng.uniform(30, 60))),
-        exposures_s=rig.sensor.exposures_s[1::2],
+        exposures_s=instrument.sensor.exposures_s[1::2],
     )
     parameters = dict(zip(model.names, truth.tolist(), strict=True))
     with tempfile.TemporaryDirectory() as folder:
         session = gonio.simulate(
-            model=case.model, parameters=parameters, output=Path(folder) / "set", instrument=rig,
-            plan=plan, seed=int(rng.integers(0, 2**62)), threads=1, truth_images=False,
+            model=case.model, parameters=parameters, output=Path(folder) / "set",
+            instrument=instrument, plan=plan, seed=int(rng.integers(0, 2**62)), threads=1,
+            truth_images=False,
         )  # fmt: skip
         # Eq. (3) is an approximation whose error is no random number.
         samples = gonio.reduce(session, mapping="exact", threads=1)
@@ -177,6 +178,8 @@ def _from_frames(case: Case, truth: FloatArray, rng: np.random.Generator) -> Dat
 
 
 def small_instrument(light: float = 1.0) -> Instrument:
-    """`ideal12` with few, large pixels and so much of its light."""
-    rig = preset("ideal12").with_pixels(SIDE)
-    return rig.altered(lamp={"white_rate_e_per_s": light * rig.lamp.white_rate_e_per_s})
+    """`ideal12` with few, large pixels and its light times `light`."""
+    instrument = preset("ideal12").with_pixels(SIDE)
+    return instrument.altered(
+        lamp={"white_rate_e_per_s": light * instrument.lamp.white_rate_e_per_s}
+    )

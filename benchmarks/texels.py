@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.kernels import angles as angles_of
-from benchmarks.kernels import plain_oren_nayar, plain_ward
+from benchmarks.kernels import numpy_oren_nayar, numpy_ward
 from benchmarks.timing import Row, best_in_turn
 from gonio.fitting.texels import TexelFit, fit_texels
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
@@ -30,7 +30,7 @@ RANGES = {
 Plain = Callable[[FloatArray], FloatArray]
 
 
-def seen() -> Directions:
+def view_directions() -> Directions:
     """Five incidences; views about the mirror direction, where a lobe is, and far from it."""
     rng = np.random.default_rng(0)
     incidence = np.arange(SAMPLES) % 5
@@ -45,7 +45,7 @@ def seen() -> Directions:
 def stack(model: str, texels: int) -> tuple[FloatArray, FloatArray]:
     """Values (texels, samples) of surfaces drawn at random, and their uncertainty (samples,)."""
     rng = np.random.default_rng(1)
-    w_i, w_r = seen().vectors()
+    w_i, w_r = view_directions().vectors()
     low, high = np.array(list(RANGES[model].values())).T
     chosen = rng.uniform(low, high, (texels, len(low)))
     values = np.stack([get(model).evaluate(w_i, w_r, p, threads=1) for p in chosen])
@@ -54,12 +54,12 @@ def stack(model: str, texels: int) -> tuple[FloatArray, FloatArray]:
     return values, u
 
 
-def plain(model: str) -> Plain:
-    """The model in numpy, with what does not depend on the parameters made before."""
-    w_i, w_r = seen().vectors()
+def numpy_model(model: str) -> Plain:
+    """The model in numpy; terms without parameters are computed once."""
+    w_i, w_r = view_directions().vectors()
     if model == "ward":
-        return partial(plain_ward, w_i, w_r)
-    return partial(plain_oren_nayar, angles_of(w_i, w_r))
+        return partial(numpy_ward, w_i, w_r)
+    return partial(numpy_oren_nayar, angles_of(w_i, w_r))
 
 
 def by_scipy(model: str, values: FloatArray, u: FloatArray) -> FloatArray:
@@ -67,15 +67,15 @@ def by_scipy(model: str, values: FloatArray, u: FloatArray) -> FloatArray:
     parameters = get(model).parameters
     bounds = [q.lower for q in parameters], [q.upper for q in parameters]
     start = [q.default for q in parameters]
-    f = plain(model)
-    found = [least_squares(lambda p, v=v: (f(p) - v) / u, start, bounds=bounds) for v in values]
-    return 2 * np.array([each.cost for each in found])
+    f = numpy_model(model)
+    fits = [least_squares(lambda p, v=v: (f(p) - v) / u, start, bounds=bounds) for v in values]
+    return 2 * np.array([each.cost for each in fits])
 
 
 def compared(model: str, note: str, per_texel: bool = False) -> Row:
     """One thread; scipy fits some of the texels."""
     values, u = stack(model, TEXELS)
-    where = seen()
+    where = view_directions()
     if per_texel:
         shape = (TEXELS, SAMPLES)
         columns: Sequence[FloatArray] = [np.broadcast_to(a, shape) for a in vars(where).values()]
@@ -83,22 +83,24 @@ def compared(model: str, note: str, per_texel: bool = False) -> Row:
     ours = partial(fit_texels, where, values, model, u=u, threads=1)
     others = partial(by_scipy, model, values[:TIMED], u)
     times = best_in_turn({"ours": ours, "scipy": others}, ROUNDS)
-    rate, other = TEXELS / times["ours"], TIMED / times["scipy"]
+    rate, scipy_rate = TEXELS / times["ours"], TIMED / times["scipy"]
     worse = excess(ours(), others())
-    return Row(f"texels, {model}{note}", rate, "scipy least_squares, a loop", rate / other, worse)
+    return Row(
+        f"texels, {model}{note}", rate, "scipy least_squares, a loop", rate / scipy_rate, worse
+    )
 
 
-def excess(found: TexelFit, chi2: FloatArray) -> str:
-    """How our minima compare with the others', in one phrase."""
-    ratio = found.chi2[: len(chi2)] / chi2 - 1
-    same = np.abs(ratio) < 1e-6
+def excess(fit: TexelFit, chi2: FloatArray) -> str:
+    """Comparison of our minima with scipy's, in one phrase."""
+    ratio = fit.chi2[: len(chi2)] / chi2 - 1
+    equal = np.abs(ratio) < 1e-6
     deeper = int(np.count_nonzero(ratio <= -1e-6))
-    note = f"chi2 the same to 1e-6 in {same.sum()} of {len(chi2)}"
+    note = f"chi2 the same to 1e-6 in {equal.sum()} of {len(chi2)}"
     note += f", ours less in {deeper}" if deeper else ""
-    higher = len(chi2) - int(same.sum()) - deeper
+    higher = len(chi2) - int(equal.sum()) - deeper
     note += f", more in {higher}" if higher else ""
-    lost = len(found) - found.count("converged")
-    return note + (f"; {lost} of {len(found)} not converged" if lost else "")
+    lost = len(fit) - fit.count("converged")
+    return note + (f"; {lost} of {len(fit)} not converged" if lost else "")
 
 
 def run() -> list[Row]:

@@ -1,4 +1,4 @@
-"""What all benchmarks share: the shortest of several runs, the cores given, a line of a table."""
+"""Tools of all benchmarks: the shortest of several runs, available cores, a line of a table."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class Row:
     Parameters
     ----------
     name : str
-        What was done.
+        The work that was timed.
     ours_per_s : float or None
         How often a second; None where it was not measured.
     ratio_to : str
-        What it was compared with, in the same run.
+        The peer that it was compared with, in the same run.
     ratio : float or None
         Ours over the other's.
     note : str
-        What else one must know.
+        Remark on the comparison.
     """
 
     name: str
@@ -71,7 +71,7 @@ def seconds(work: Work) -> float:
 def cores() -> float:
     """How many busy loops ran at full speed when one was started on each core."""
     alone, together = spins(1), spins(os.cpu_count() or 1)
-    # The quickest of them shows what a core can do that nothing else uses.
+    # The fastest one shows the speed of a core without other load.
     return sum(together) / max(alone + together)
 
 

@@ -1,4 +1,4 @@
-"""What the notebooks share: quick or full mode, the folder for results, rows, figures, tables.
+"""Tools of the notebooks: quick or full mode, the folder for results, rows, figures, tables.
 
     nb = Notebook("ward_figures", paper="Ward 1992")
     nb.record("Fig. 6: ...", printed=0.21, ours=0.2098, agrees=abs(0.2098 - 0.21) < 0.01)
@@ -99,16 +99,16 @@ class Notebook:
         item : str
             Figure, table, equation or sentence of the paper, and what is compared.
         printed, ours : object
-            What stands in print, and what came out; numbers are shown with four digits.
+            The printed and the computed value; numbers are shown with four digits.
         agrees : bool
-            What the comparison said. The caller computes it, with a tolerance that it explains.
+            Result of the comparison. The caller computes it, with a tolerance that it explains.
         note : str
             How it was compared.
         differs : str
-            Why the two should not agree: print is wrong, or the instrument cannot see it. With it
-            a row that agrees is the unexpected one.
+            Reason why the two should not agree: the print is wrong, or the instrument cannot
+            measure it. A row with a reason is unexpected if it agrees.
         paper : str, optional
-            Where it is another one than the notebook's.
+            Paper of the row, where it is not that of the notebook.
         """
         as_expected = bool(agrees) != bool(differs)
         verdict = (YES if agrees else NO) if as_expected else UNEXPECTED
@@ -119,7 +119,7 @@ class Notebook:
     def absent(
         self, item: str, why: str, *, printed: object = "", paper: str | None = None
     ) -> None:
-        """Add a row for what cannot be computed: a photograph, data that were not published."""
+        """Add a row without computation, for a photograph or unpublished data."""
         self._add(paper, item, shown(printed), "", NOT_COMPUTED, why)
 
     def _add(
@@ -139,8 +139,8 @@ class Notebook:
         name : str
             Name of the file without .png, unlike that of any other figure or table.
         caption : str
-            What it shows, for those who cannot see it too. The page takes name and caption from
-            the source, so that both are written out.
+            Description for all readers, also those who cannot see the figure. The page takes name
+            and caption from the source, so that both are literals.
         """
         path = self.folder / f"{name}.png"
         with style(), atomic_path(path) as temporary:
@@ -164,12 +164,12 @@ class Notebook:
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:
-        """A folder for raw frames, which goes when the block ends."""
+        """A folder for raw frames, which is removed when the block ends."""
         with tempfile.TemporaryDirectory(prefix=f"{self.name}_") as folder:
             yield Path(folder)
 
     def done(self) -> None:
-        """Say how many rows there are; call it in the last cell."""
+        """Print the number of rows; call it in the last cell."""
         odd = [row["item"] for row in self.rows if row["agrees"] == UNEXPECTED]
         print(f"{self.name}: {len(self.rows)} rows, {len(odd)} not as expected.", *odd, sep="\n  ")
 
@@ -202,7 +202,7 @@ def png(figure: Figure) -> bytes:
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown; a bar in a cell is kept from ending it."""
+    """A table in Markdown; a bar inside a cell is escaped."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(
         "| " + " | ".join(re.sub(r"(?<!\\)\|", r"\\|", cell) for cell in line) + " |"

@@ -54,12 +54,12 @@ class Recovered:
 
     @property
     def error(self) -> float:
-        """Relative to what is printed."""
+        """Error relative to the printed value."""
         return self.value / self.printed - 1
 
     @property
     def inside(self) -> bool:
-        """Whether the interval holds what is printed."""
+        """Whether the interval covers the printed value."""
         return self.interval[0] <= self.printed <= self.interval[1]
 
 
@@ -83,41 +83,41 @@ def recover(
     posterior : bool
         Intervals from the posterior, else from the standard uncertainties.
     """
-    rig, known = preset(instrument), get_material(material)
-    model = get_model(known.model)
-    plan = default_plan(rig, anisotropic=is_anisotropic(model, known.parameters))
+    virtual, printed = preset(instrument), get_material(material)
+    model = get_model(printed.model)
+    plan = default_plan(virtual, anisotropic=is_anisotropic(model, printed.parameters))
     if theta_i_deg is not None:
         few = {"theta_i_deg": tuple(theta_i_deg), "rotations_deg": plan.rotations_deg[::2]}
         plan = Plan.model_validate(plan.model_dump() | few)
     path = folder / f"{material}_{instrument}"
-    # The seeds of docs/recovery: a material has its own whichever others are asked for.
+    # The seeds of docs/recovery: each material has its own.
     seed = 1 + names().index(material)
     gonio.simulate(material, output=path, instrument=instrument, plan=plan, seed=seed)
     fit = gonio.fit(gonio.reduce(path), model=model, posterior=posterior, seed=seed)
     shutil.rmtree(path)
-    found = []
-    for name, own in fit.parameters.items():
-        estimate = own.in_file_units()
+    recovered = []
+    for name, fitted in fit.parameters.items():
+        estimate = fitted.in_file_units()
         parameter = model.parameter(name)
-        scale = 3 * rig.standard.uncertainty if parameter.linear else 0.0
-        found.append(
+        scale = 3 * virtual.standard.uncertainty if parameter.linear else 0.0
+        recovered.append(
             Recovered(
                 material,
                 instrument,
                 name,
-                float(f"{parameter.to_file(known.parameters[name]):.12g}"),
+                float(f"{parameter.to_file(printed.parameters[name]):.12g}"),
                 estimate.value,
                 np.nan if estimate.stderr is None else estimate.stderr,
                 estimate.interval_95 or (np.nan, np.nan),
                 LOBE_BIAS[instrument] + scale,
             )
         )
-    return found
+    return recovered
 
 
-def record(nb: Notebook, found: Sequence[Recovered], where: str) -> None:
+def record(nb: Notebook, recovered: Sequence[Recovered], where: str) -> None:
     """A row for each material and instrument, and two for each instrument's intervals."""
-    for group in by_session(found):
+    for group in by_session(recovered):
         worst = max(group, key=lambda one: abs(one.error))
         allowed = sorted({f"{100 * one.allowed:.2g}" for one in group}, key=float)
         nb.record(
@@ -129,22 +129,22 @@ def record(nb: Notebook, found: Sequence[Recovered], where: str) -> None:
             f"worst {worst.parameter} {100 * worst.error:+.2f} %, "
             f"allowed {' and '.join(allowed)} %",
         )
-    for instrument in dict.fromkeys(one.instrument for one in found):
-        own = [one for one in found if one.instrument == instrument]
-        inside = sum(one.inside for one in own)
+    for instrument in dict.fromkeys(one.instrument for one in recovered):
+        of_instrument = [one for one in recovered if one.instrument == instrument]
+        inside = sum(one.inside for one in of_instrument)
         # Parameters of one material share the standard's error and miss together: three standard
         # deviations of a binomial of a third as many are left room.
-        least = 0.95 * len(own) - 3 * (3 * 0.05 * 0.95 * len(own)) ** 0.5
+        least = 0.95 * len(of_instrument) - 3 * (3 * 0.05 * 0.95 * len(of_instrument)) ** 0.5
         nb.record(
             f"{where}: parameters within their 95 % interval, {instrument}",
             "95 %",
-            f"{inside} of {len(own)}",
+            f"{inside} of {len(of_instrument)}",
             inside >= least,
             f"an honest interval holds 95 %; {least:.0f} leaves room for chance",
         )
 
 
-def lines(found: Sequence[Recovered]) -> list[list[str]]:
+def lines(recovered: Sequence[Recovered]) -> list[list[str]]:
     """Printed, recovered, interval and bias, a line a parameter, under HEAD."""
     return [
         [
@@ -156,14 +156,14 @@ def lines(found: Sequence[Recovered]) -> list[list[str]]:
             f"{one.interval[0]:.4g} to {one.interval[1]:.4g}",
             f"{100 * one.error:+.2f}",
         ]
-        for one in found
+        for one in recovered
     ]
 
 
-def by_session(found: Sequence[Recovered]) -> Iterator[list[Recovered]]:
+def by_session(recovered: Sequence[Recovered]) -> Iterator[list[Recovered]]:
     """The parameters of each material on each instrument together."""
-    for key in dict.fromkeys((one.material, one.instrument) for one in found):
-        yield [one for one in found if (one.material, one.instrument) == key]
+    for key in dict.fromkeys((one.material, one.instrument) for one in recovered):
+        yield [one for one in recovered if (one.material, one.instrument) == key]
 
 
 def title(material: str) -> str:
@@ -171,11 +171,11 @@ def title(material: str) -> str:
     return material.replace("_", " ")
 
 
-def family(found: Sequence[Recovered], heading: str) -> Figure:
+def family(recovered: Sequence[Recovered], heading: str) -> Figure:
     """Relative errors with their 95 % intervals, a panel a parameter, a line a material."""
-    parameters = list(dict.fromkeys(one.parameter for one in found))
-    materials = list(dict.fromkeys(one.material for one in found))
-    instruments = list(dict.fromkeys(one.instrument for one in found))
+    parameters = list(dict.fromkeys(one.parameter for one in recovered))
+    materials = list(dict.fromkeys(one.material for one in recovered))
+    instruments = list(dict.fromkeys(one.instrument for one in recovered))
     with style():
         fig, axes = plt.subplots(
             1,
@@ -186,13 +186,14 @@ def family(found: Sequence[Recovered], heading: str) -> Figure:
         )
         for ax, name in zip(axes, parameters, strict=True):
             for k, instrument in enumerate(instruments):
-                own = [o for o in found if (o.parameter, o.instrument) == (name, instrument)]
-                y = [materials.index(one.material) + 0.3 * (k - 0.5) for one in own]
+                group = [o for o in recovered if (o.parameter, o.instrument) == (name, instrument)]
+                y = [materials.index(one.material) + 0.3 * (k - 0.5) for one in group]
                 low, high = (
-                    [100 * (one.interval[side] / one.printed - 1) for one in own] for side in (0, 1)
+                    [100 * (one.interval[side] / one.printed - 1) for one in group]
+                    for side in (0, 1)
                 )
                 ax.hlines(y, low, high, color=COLOURS[k + 1], linewidth=1.4)
-                ax.plot([100 * one.error for one in own], y, "os"[k], color=COLOURS[k + 1],
+                ax.plot([100 * one.error for one in group], y, "os"[k], color=COLOURS[k + 1],
                         markersize=4, label=instrument)  # fmt: skip
             ax.axvline(0, color="#888888", linewidth=0.6)
             model = get_model(get_material(materials[0]).model)

@@ -72,8 +72,13 @@ nb.record("obeys Helmholtz's reciprocity, largest relative difference", 0, worst
 flat = QUALITATIVE(d, rho=0.9, sigma=0.0)
 worst = float(np.max(np.abs(flat * np.pi / 0.9 - 1)))
 nb.record("A = 1, B = 0 is Lambert, largest relative difference", 0, worst, worst < 1e-12)
-found = directional_albedo(models.get("lambert"), {"rho": 0.5}, 1.0).value
-nb.record("Lambert: R = pi f is the albedo, R = 0.5", 0.5, found, abs(found - 0.5) < 1e-6)
+lambert_albedo = directional_albedo(models.get("lambert"), {"rho": 0.5}, 1.0).value
+nb.record(
+    "Lambert: R = pi f is the albedo, R = 0.5",
+    0.5,
+    lambert_albedo,
+    abs(lambert_albedo - 0.5) < 1e-6,
+)
 
 # %% [markdown]
 # ## How far it is from the integral
@@ -183,11 +188,11 @@ nb.figure(
 
 # %%
 at = np.array([0, 30, 60, 75]) * DEG
-seen = {
+visible = {
     sigma: NUMERIC(Directions(at, 0.0, at, 0.0), rho=0.9, sigma=sigma * DEG) * np.cos(at)
     for sigma in (0, 20, 40)
 }
-falls = {sigma: float(L[2] / L[0]) for sigma, L in seen.items()}
+falls = {sigma: float(L[2] / L[0]) for sigma, L in visible.items()}
 nb.record(
     "lit from the camera, brightness at 60 deg over that in the middle, sigma 20 deg",
     "flatter than Lambert's 0.5",
@@ -213,8 +218,8 @@ values = (0, 20, 35, 45, 60)
 retro = Directions(60 * DEG, 0.0, 60 * DEG, 0.0)
 normal = Directions(0.0, 0.0, 0.0, 0.0)
 bright = {
-    place: [float(NUMERIC(where, rho=0.9, sigma=s * DEG) * np.pi / 0.9) for s in values[:4]]
-    for place, where in {"retro": retro, "normal": normal}.items()
+    direction: [float(NUMERIC(where, rho=0.9, sigma=s * DEG) * np.pi / 0.9) for s in values[:4]]
+    for direction, where in {"retro": retro, "normal": normal}.items()
 }
 nb.record(
     "brightness increases with sigma, pi f/rho towards the light at 60 deg, sigma 0, 20, 35, 45",

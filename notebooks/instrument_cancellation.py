@@ -39,46 +39,50 @@ METAL = WARD.vector({"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.1, "alpha_y": 0.2}
 
 
 def instrument(**parts):
-    """The preset ideal12 with N x N pixels and some figures changed."""
+    """The preset ideal12 with N x N pixels and some values changed."""
     return preset("ideal12").with_pixels(N).altered(**parts)
 
 
-def eq2(rig, theta_i_deg, *, standard_scale=1.0, lamp=1.0, standard_at=None, certified=True):
+def eq2(virtual, theta_i_deg, *, standard_scale=1.0, lamp=1.0, standard_at=None, certified=True):
     """f at each image point by eq. (2), and which points lie within 78 deg of the normal.
 
-    `lamp` is its output while the sample is seen, over that while the standard is.
+    `lamp` is its output at the sample's frames over that at the standard's.
     """
     plan = Plan(theta_i_deg=(theta_i_deg,), rotations_deg=(0.0,), exposures_s=(1.0,))
-    images = Images(rig, Surface("metal", WARD, (METAL,)), plan, Fixed(1, 2, standard_scale))
+    images = Images(virtual, Surface("metal", WARD, (METAL,)), plan, Fixed(1, 2, standard_scale))
     V_measured = images.rates("sample", 0, 0, [lamp])[0]
     V_background = images.rates("background", 0, 0, [1.0])[0]
     if standard_at is None:
         V_standard = images.rates("standard", 0, 0, [1.0])[0]
         V_dark = V_background
     else:
-        other = plan.model_copy(update={"theta_i_deg": (standard_at,)})
-        there = Images(rig, images.surface, other, Fixed(1, 2, standard_scale))
-        V_standard, V_dark = (there.rates(r, 0, 0, [1.0])[0] for r in ("standard", "background"))
+        standard_plan = plan.model_copy(update={"theta_i_deg": (standard_at,)})
+        standard_images = Images(
+            virtual, images.surface, standard_plan, Fixed(1, 2, standard_scale)
+        )
+        V_standard, V_dark = (
+            standard_images.rates(r, 0, 0, [1.0])[0] for r in ("standard", "background")
+        )
     theta_r, phi_r = (np.full(V_standard.shape, np.nan) for _ in range(2))
     theta_r.ravel()[images.rays.pixel], phi_r.ravel()[images.rays.pixel] = angles(
         images.mean_directions
     )
-    rho = rig.standard.reflectance * np.ones(V_standard.shape)
-    if certified:  # the standard's own BRDF, where the certificate tells it
-        known = metadata(rig, plan, "metal", "").standard
-        rho = standard_brdf(known, np.radians(theta_i_deg), theta_r, phi_r) * np.pi
+    rho = virtual.standard.reflectance * np.ones(V_standard.shape)
+    if certified:  # the standard's own BRDF, where the certificate states it
+        certificate = metadata(virtual, plan, "metal", "").standard
+        rho = standard_brdf(certificate, np.radians(theta_i_deg), theta_r, phi_r) * np.pi
     with np.errstate(invalid="ignore", divide="ignore"):
         f = (V_measured - V_background) / (V_standard - V_dark) * rho / np.pi
     return f, theta_r < np.radians(78)
 
 
-plain = {angle: eq2(instrument(), angle) for angle in (0.0, 60.0)}
+unchanged = {angle: eq2(instrument(), angle) for angle in (0.0, 60.0)}
 
 
-def left(rig, angle=60.0, **how):
-    """Relative change of f against the plain instrument: of 95 % of the points, and median."""
-    f, _ = eq2(rig, angle, **how)
-    ratio = (f / plain[angle][0] - 1)[plain[angle][1]]
+def change(virtual, angle=60.0, **how):
+    """Relative change of f against the unchanged instrument: of 95 % of the points, and median."""
+    f, _ = eq2(virtual, angle, **how)
+    ratio = (f / unchanged[angle][0] - 1)[unchanged[angle][1]]
     ratio = ratio[np.isfinite(ratio)]
     return float(np.quantile(np.abs(ratio), 0.95)), float(np.median(ratio))
 
@@ -100,11 +104,11 @@ CANCELS = {
     "room light on its own way": {"surroundings": {"ambient": 0.05}},
     "a beam that is not even": {"lamp": {"edge_falloff": 0.3}},
 }
-rows, kept = [], []
+rows, cancelled = [], []
 for name, parts in CANCELS.items():
-    most, _ = left(instrument(**parts))
+    most, _ = change(instrument(**parts))
     rows.append([name, "cancels", f"{most:.1e}"])
-    kept.append(most)
+    cancelled.append(most)
     nb.record(f"(2) cancels: {name}, relative change of f at 60 deg", 0, most, most < 1e-4)
 
 # %% [markdown]
@@ -129,8 +133,8 @@ REMAINS = {
     "standard seen at 0 deg, sample at 60 deg": (instrument(), {"standard_at": 0.0}),
 }
 changes = {}
-for name, (rig, how) in REMAINS.items():
-    most, middle = left(rig, **how)
+for name, (virtual, how) in REMAINS.items():
+    most, middle = change(virtual, **how)
     changes[name] = (most, middle)
     rows.append([name, "remains", f"{most:.1e}"])
     nb.record(
@@ -154,7 +158,7 @@ nb.record(
 with style():
     fig, ax = plt.subplots(figsize=(7.2, 3.6), layout="constrained")
     names = [*CANCELS, *REMAINS]
-    values = [max(v, 1e-17) for v in kept] + [most for most, _ in changes.values()]
+    values = [max(v, 1e-17) for v in cancelled] + [most for most, _ in changes.values()]
     colours = ["#009E73"] * len(CANCELS) + ["#D55E00"] * len(REMAINS)
     ax.barh(range(len(names)), values, color=colours, left=1e-17)
     ax.set_yticks(range(len(names)), names)

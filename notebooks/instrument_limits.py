@@ -34,8 +34,8 @@ from gonio.plotting import resolution_map, style
 nb = Notebook("instrument_limits", paper="Ward 1992")
 INSTRUMENTS = ("lbl1992", "modern12")
 step = nb.choose(quick=2.0, full=0.5)
-seen = {name: resolve(preset(name), step_deg=step) for name in INSTRUMENTS}
-told = {name: report(one) for name, one in seen.items()}
+resolutions = {name: resolve(preset(name), step_deg=step) for name in INSTRUMENTS}
+reports = {name: report(one) for name, one in resolutions.items()}
 
 # %% [markdown]
 # ## Smooth surfaces: the smallest alpha
@@ -47,19 +47,19 @@ told = {name: report(one) for name, one in seen.items()}
 # %%
 rows = []
 for name in INSTRUMENTS:
-    blur, alpha = told[name]["blur_deg"], told[name]["alpha"][0]["in_plane"]["alpha"]
+    blur, alpha = reports[name]["blur_deg"], reports[name]["alpha"][0]["in_plane"]["alpha"]
     rows.append([
         name,
         *(f"{blur[part]['median_major']:.2f}" for part in ("pixel", "pupil", "source", "total")),
         f"{alpha:.3f}",
-        f"{told[name]['theta_r']['rim_mask_deg']:g}",
+        f"{reports[name]['theta_r']['rim_mask_deg']:g}",
     ])  # fmt: skip
 nb.table(
     "resolution",
     ["instrument", "pixel, deg", "pupil", "source", "all", "smallest alpha", "rim, deg"],
     rows,
 )
-smallest = {name: told[name]["alpha"][0]["in_plane"]["alpha"] for name in INSTRUMENTS}
+smallest = {name: reports[name]["alpha"][0]["in_plane"]["alpha"] for name in INSTRUMENTS}
 nb.record(
     "section 3.3: polished surfaces are out of reach, smallest alpha that lbl1992 resolves",
     "sharp peaks not measurable",
@@ -74,7 +74,7 @@ nb.record(
     smallest["lbl1992"] < 0.037,
     "smallest alpha at normal incidence",
 )
-parts = told["lbl1992"]["blur_deg"]
+parts = reports["lbl1992"]["blur_deg"]
 nb.record(
     "section 3.3: 'the finite collimation of our light source', its part of the blur's variance",
     "a limit",
@@ -93,17 +93,17 @@ nb.record(
 )
 at_dome = preset("lbl1992")
 at_dome = at_dome.model_copy(update={"lens": at_dome.lens.model_copy(update={"focus": "R"})})
-other = report(resolve(at_dome, step_deg=2.0))["blur_deg"]["pupil"]["median_major"]
+focused_on_dome = report(resolve(at_dome, step_deg=2.0))["blur_deg"]["pupil"]["median_major"]
 nb.record(
     "section 3.1: the same focused on the dome, deg",
     "worse",
-    other,
-    other > 3 * pupil,
+    focused_on_dome,
+    focused_on_dome > 3 * pupil,
     "parallel rays meet at R/2, not at R",
 )
 
 # %% tags=["hide-input"]
-fig = resolution_map(seen["lbl1992"])
+fig = resolution_map(resolutions["lbl1992"])
 nb.figure(fig, "map", "Blur and coverage of lbl1992 over the hemisphere of directions.")
 
 # %% [markdown]
@@ -113,7 +113,7 @@ nb.figure(fig, "map", "Blur and coverage of lbl1992 over the hemisphere of direc
 # sample, in the worst azimuth, is the limit that a larger sample and a larger dome would move.
 
 # %%
-reach = {name: told[name]["theta_r"]["whole"]["min_deg"] for name in INSTRUMENTS}
+reach = {name: reports[name]["theta_r"]["whole"]["min_deg"] for name in INSTRUMENTS}
 nb.record(
     "section 3.3: grazing angles are out of reach, theta_r in deg up to which lbl1992 sees lit "
     "sample alone",
@@ -162,13 +162,13 @@ rows, combined, leading = [], {}, {}
 angles = nb.choose(quick=(30.0,), full=(0.0, 15.0, 30.0, 45.0, 60.0))
 with nb.scratch() as folder:
     for name in INSTRUMENTS:
-        own = default_plan(preset(name), anisotropic=True)
+        default = default_plan(preset(name), anisotropic=True)
         few = Plan.model_validate(
-            own.model_dump() | {"theta_i_deg": angles, "rotations_deg": (0.0,)}
+            default.model_dump() | {"theta_i_deg": angles, "rotations_deg": (0.0,)}
         )
         gonio.simulate("rolled_aluminum", output=folder / name, instrument=name, plan=few, seed=2)
-        found = budget(gonio.reduce(folder / name)).describe()
-        for source in found["sources"]:
+        budget_report = budget(gonio.reduce(folder / name)).describe()
+        for source in budget_report["sources"]:
             part = source["relative"]
             share = source["share_of_variance"]
             rows.append([
@@ -179,9 +179,9 @@ with nb.scratch() as folder:
                 "in the fit" if part is None else f"{100 * part['median']:.3f}",
                 "" if share is None else f"{100 * share:.0f}",
             ])  # fmt: skip
-        combined[name] = 100 * found["combined"]["median"]
+        combined[name] = 100 * budget_report["combined"]["median"]
         leading[name] = max(
-            (s for s in found["sources"] if s["share_of_variance"] is not None),
+            (s for s in budget_report["sources"] if s["share_of_variance"] is not None),
             key=lambda s: s["share_of_variance"],
         )["name"]
 nb.table(
@@ -202,8 +202,8 @@ nb.record(
 with style():
     fig, axes = plt.subplots(1, 2, figsize=(9.4, 3.0), layout="constrained")
     for ax, name in zip(axes, INSTRUMENTS, strict=True):
-        own = [row for row in rows if row[0] == name and row[5]]
-        ax.barh([row[1] for row in own], [float(row[5]) for row in own], color="#0072B2")
+        selected = [row for row in rows if row[0] == name and row[5]]
+        ax.barh([row[1] for row in selected], [float(row[5]) for row in selected], color="#0072B2")
         ax.invert_yaxis()
         ax.set_xlabel("share of the variance (%)")
         ax.set_title(f"{name}: {combined[name]:.2f} % in all")

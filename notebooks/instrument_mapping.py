@@ -146,9 +146,9 @@ nb.figure(
 
 # %%
 theta, phi, _ = hemisphere_quadrature(40, 80)
-there = camera_angles(*reflected_angles(theta, phi, R=R, D=15.0), R=R, D=15.0)
+returned = camera_angles(*reflected_angles(theta, phi, R=R, D=15.0), R=R, D=15.0)
 back = np.degrees(
-    2 * np.arcsin(np.linalg.norm(unit_vectors(*there) - unit_vectors(theta, phi), axis=-1) / 2)
+    2 * np.arcsin(np.linalg.norm(unit_vectors(*returned) - unit_vectors(theta, phi), axis=-1) / 2)
 )
 nb.record(
     "(3): inverse by D -> -D, largest error of the round trip, deg",

@@ -161,13 +161,13 @@ lobes = {
     name: np.concatenate([f(name, t, sweep, rho_d=0.0) for t in (30, 45, 60)])
     for name in ("cook_torrance", "blinn")
 }
-alike = float(np.corrcoef(lobes["cook_torrance"], lobes["blinn"])[0, 1])
+correlation = float(np.corrcoef(lobes["cook_torrance"], lobes["blinn"])[0, 1])
 nb.record(
     "Blinn: the diagrams are similar to Cook-Torrance's, correlation of the lobes at 30, 45, 60 "
     "deg, c = m",
     "similar",
-    alike,
-    alike > 0.9,
+    correlation,
+    correlation > 0.9,
     "Blinn's peak is narrower at the top and its tail longer",
 )
 conserved = max(
@@ -361,9 +361,9 @@ nb.record(
 # %%
 heaven = sky("clear", theta_i=55 * DEG, phi_i=50 * DEG, rows=nb.choose(quick=32, full=64))
 ABOUT = {"lambert": "normal", "oren_nayar_qualitative": "normal", "minnaert": "normal"}
-rows, places = nb.choose(quick=(12, 150), full=(24, 600))
-found = {
-    name: prefilter_error(heaven, name, p, about=ABOUT.get(name, "mirror"), rows=rows, n=places)
+rows, n_points = nb.choose(quick=(12, 150), full=(24, 600))
+prefilter_errors = {
+    name: prefilter_error(heaven, name, p, about=ABOUT.get(name, "mirror"), rows=rows, n=n_points)
     for name, (_, p) in GALLERY.items()
 }
 inner = {
@@ -373,7 +373,7 @@ inner = {
             / np.mean(e.exact[e.theta_r < 30 * DEG] ** 2)
         )
     )
-    for name, e in found.items()
+    for name, e in prefilter_errors.items()
 }
 nb.table(
     "prefiltered",
@@ -385,7 +385,7 @@ nb.table(
             f"{100 * e.rms:.1f}",
             f"{100 * inner[name]:.1f}",
         ]
-        for name, e in found.items()
+        for name, e in prefilter_errors.items()
     ],
 )
 
@@ -435,8 +435,8 @@ nb.figure(
 nb.record(
     "Environment maps: Lambert from a map over the normal, RMS error",
     0,
-    f"{100 * found['lambert'].rms:.1f} %",
-    found["lambert"].rms < nb.choose(quick=0.03, full=0.01),
+    f"{100 * prefilter_errors['lambert'].rms:.1f} %",
+    prefilter_errors["lambert"].rms < nb.choose(quick=0.03, full=0.01),
     "what is left is the table's resolution",
 )
 nb.record(
@@ -444,10 +444,11 @@ nb.record(
     "Phong, Cook-Torrance, Blinn, Ward, GGX",
     0,
     ", ".join(
-        f"{100 * found[name].rms:.0f} %"
+        f"{100 * prefilter_errors[name].rms:.0f} %"
         for name in ("phong", "cook_torrance", "blinn", "ward", "ggx")
     ),
-    max(found[name].rms for name in ("phong", "cook_torrance", "blinn", "ward", "ggx")) < 0.05,
+    max(prefilter_errors[name].rms for name in ("phong", "cook_torrance", "blinn", "ward", "ggx"))
+    < 0.05,
     differs="a lobe seen obliquely is longer than the map has it, and the horizon cuts it",
 )
 nb.record(
@@ -456,7 +457,10 @@ nb.record(
     ", ".join(
         f"{100 * inner[name]:.0f} %" for name in ("phong", "cook_torrance", "blinn", "ward", "ggx")
     ),
-    all(inner[name] < found[name].rms for name in ("phong", "cook_torrance", "blinn", "ggx")),
+    all(
+        inner[name] < prefilter_errors[name].rms
+        for name in ("phong", "cook_torrance", "blinn", "ggx")
+    ),
     "without Ward's, whose map is a mean over turns of the grooves",
 )
 gain = min(each["sum"] / each["map"] for each in seconds.values())
@@ -580,16 +584,16 @@ def printed_minnaert(c_i, c_r, k=0.7):
     return c_i**k * (1 - c_r) ** (1 - k)
 
 
-there, back_again = printed_minnaert(0.3, 0.8), printed_minnaert(0.8, 0.3)
-both = [
+forward, back_again = printed_minnaert(0.3, 0.8), printed_minnaert(0.8, 0.3)
+values = [
     float(models.get("minnaert").evaluate(*w, models.get("minnaert").vector({"k": 0.7})))
     for w in ([unit_vectors(np.arccos(a), 0.0) for a in pair] for pair in ((0.3, 0.8), (0.8, 0.3)))
 ]
 nb.record(
     "Minnaert: f there over f back, (N.L, N.E) = (0.3, 0.8), k = 0.7",
-    there / back_again,
-    both[0] / both[1],
-    abs(there / back_again - both[0] / both[1]) < 1e-9,
+    forward / back_again,
+    values[0] / values[1],
+    abs(forward / back_again - values[0] / values[1]) < 1e-9,
     differs="(N.L)^k (N.E)^(k-1) is reciprocal, the printed law is not, and is Lambert for no k",
 )
 

@@ -136,8 +136,8 @@ nb.record(
 middle = np.arange(-30, 70.1, 5)
 L = radiance(middle, 30)[0]
 basis = np.stack([np.ones_like(middle), np.tan(middle * DEG)], axis=1)
-rest = L - basis @ np.linalg.lstsq(basis, L, rcond=None)[0]
-off = float(np.abs(rest).max() / np.ptp(L))
+remainder = L - basis @ np.linalg.lstsq(basis, L, rcond=None)[0]
+off = float(np.abs(remainder).max() / np.ptp(L))
 nb.record(
     "Fig. 5: middle section is a scaled tan theta_r with constant offset, largest distance over "
     "the range of L_r",
@@ -186,19 +186,19 @@ def facets(signed_deg, sigma, *, printed=False):
     def d(x, y):
         return np.sqrt(x * x + 2 * x * y * np.cos(2 * t) + y * y)
 
-    seen = (va > 0) & (sb > 0)
+    visible = (va > 0) & (sb > 0)
     strips = pi / 2 * (d(1, m_v) + d(1, m_s) - d(m_s, m_v) - d(1, 1))
     two = (RHO / pi) ** 2 * sb * va / (np.cos(t) * v[2]) * strips
     P = np.exp(-(t**2) / (2 * sigma**2)) * np.sin(t)
     mean = P / P.sum() / (2 * n)
-    return float(np.sum(mean * one)), float(np.sum(np.where(seen, mean * two, 0.0)))
+    return float(np.sum(mean * one)), float(np.sum(np.where(visible, mean * two, 0.0)))
 
 
-for place in (-75.0, 0.0, 75.0):
-    one, two = facets(place, 30 * DEG)
-    ours = [float(L[0]) for L in radiance([place], 30)]
+for angle in (-75.0, 0.0, 75.0):
+    one, two = facets(angle, 30 * DEG)
+    ours = [float(L[0]) for L in radiance([angle], 30)]
     nb.record(
-        f"Fig. 5: L_r/E_0 at theta_r {place:g} deg, in all and direct; printed is eqs. (4) to "
+        f"Fig. 5: L_r/E_0 at theta_r {angle:g} deg, in all and direct; printed is eqs. (4) to "
         "(13) summed with (5) corrected",
         f"{one + two:.4f}, {one:.4f}",
         f"{ours[0]:.4f}, {ours[1]:.4f}",

@@ -64,9 +64,9 @@ VARIANTS = {
 
 # %%
 NAME = nb.choose(quick="lbl1992", full="modern12")
-rig = preset(NAME).model_copy(update={"rays_per_pixel": 1})
+instrument = preset(NAME).model_copy(update={"rays_per_pixel": 1})
 angles = nb.choose(quick=(30.0, 45.0, 60.0), full=(0.0, 15.0, 30.0, 45.0, 60.0, 75.0))
-exposures = default_plan(rig, anisotropic=False).exposures_s
+exposures = default_plan(instrument, anisotropic=False).exposures_s
 plan = Plan(theta_i_deg=angles, rotations_deg=(0.0,), exposures_s=exposures)
 
 
@@ -78,7 +78,7 @@ def measured(name, seed):
             model=SAMPLES[name][2],
             parameters=p,
             output=folder / name,
-            instrument=rig,
+            instrument=instrument,
             plan=plan,
             seed=seed,
         )
@@ -93,9 +93,9 @@ def thinned(samples):
 
 def reported_by(name):
     """Variants that are fitted: the lobe where there is one, the costly integral not for all."""
-    own = SAMPLES[name][2]
-    left_out = {"oren_nayar_torrance_sparrow"} | nb.choose(quick={"oren_nayar_numeric"}, full=set())
-    return [variant for variant in VARIANTS if variant == own or variant not in left_out]
+    true_model = SAMPLES[name][2]
+    excluded = {"oren_nayar_torrance_sparrow"} | nb.choose(quick={"oren_nayar_numeric"}, full=set())
+    return [variant for variant in VARIANTS if variant == true_model or variant not in excluded]
 
 
 data = {name: measured(name, seed) for seed, name in enumerate(SAMPLES, 8)}
@@ -231,8 +231,8 @@ for name in ("foam", "cotton_towel"):
     p = fits[name, "oren_nayar_torrance_sparrow"].values()
     body = {k: v for k, v in p.items() if k != "ks_over_kb"}
     mirror = np.array([radians(-60)])
-    both = radiance("oren_nayar_torrance_sparrow", p, radians(60), mirror)
-    shares[name] = float(1 - (radiance("oren_nayar", body, radians(60), mirror) / both)[0])
+    pair = radiance("oren_nayar_torrance_sparrow", p, radians(60), mirror)
+    shares[name] = float(1 - (radiance("oren_nayar", body, radians(60), mirror) / pair)[0])
 nb.record(
     "Figs. 10 and 11: a significant surface reflection component, its share of the radiance in "
     "the mirror direction at 60 deg, foam and towel",
@@ -276,17 +276,17 @@ for name in ("foam", "cotton_towel"):
 # %%
 def off(name, variant):
     """RMS relative difference of the fitted f from the surface's own, over the samples."""
-    directions, own = data[name].directions, SAMPLES[name][2]
-    true = models.get(own)(directions, **get_material(name).parameters)
+    directions, true_model = data[name].directions, SAMPLES[name][2]
+    true = models.get(true_model)(directions, **get_material(name).parameters)
     f = models.get(variant)(directions, **fits[name, variant].values())
     return float(np.sqrt(np.mean((f / true - 1) ** 2)))
 
 
-def told(name, variant):
+def estimates_of(name, variant):
     """sigma in degrees, rho and the lobe as a report would have them."""
     values = []
-    for own in fits[name, variant].parameters.values():
-        estimate = own.in_file_units()
+    for fitted in fits[name, variant].parameters.values():
+        estimate = fitted.in_file_units()
         bound = {None: "", "lower": " (lower bound)", "upper": " (upper bound)"}
         values.append(f"{estimate.value:.3g}{bound[estimate.at_bound]}")
     names = fits[name, variant].parameters
@@ -306,7 +306,7 @@ for name, (_, letter, model) in SAMPLES.items():
                 [
                     truth,
                     VARIANTS[variant] + mark,
-                    told(name, variant),
+                    estimates_of(name, variant),
                     f"{100 * off(name, variant):.1f}",
                 ]
             )

@@ -6,7 +6,7 @@ Run from the root of the checkout, in its environment:
     python notebooks/run.py --quick         all, in a minute; leaves docs/ as it is
     python notebooks/run.py ward_figures    this one, full mode
 
-A notebook that ended with the sources as they are now is not run again; `--fresh` runs it anyway.
+A notebook that ended with the present sources is not run again; `--fresh` runs it anyway.
 The full mode copies figures and tables to docs/papers/ and the rows to docs/papers/agreement.csv.
 The exit code is 1 if a notebook failed or a row is not as expected.
 """
@@ -39,7 +39,7 @@ SHOWN = 100  # characters of a line of the final table
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one notebook ended.
+    """Outcome of one notebook.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Outcome:
     failed : bool
         It did not reach its end.
     skipped : bool
-        It had ended before, with the sources as they are now.
+        It ended in an earlier run with the present sources.
     """
 
     name: str
@@ -63,7 +63,7 @@ def notebooks() -> list[str]:
 
 
 def sources_digest(name: str) -> str:
-    """Digest of all that a notebook's results follow from: the package, this folder's helpers."""
+    """Digest of all sources of a notebook's results: the package, this folder's helpers."""
     digest = hashlib.sha256()
     paths = [p for folder in SOURCES for p in (ROOT / folder).rglob("*.*") if is_source(p)]
     for path in [*sorted(paths), *sorted(HERE.glob("_*.py")), HERE / f"{name}.py"]:
@@ -76,26 +76,26 @@ def is_source(path: Path) -> bool:
 
 
 def run_one(name: str, folder: Path, *, quick: bool, fresh: bool, jobs: int) -> Outcome:
-    """Run one notebook in a process of its own, unless it is done; its output goes to log.txt."""
-    own = folder / name
-    own.mkdir(parents=True, exist_ok=True)
-    mark, digest = own / "done.json", sources_digest(name)
+    """Run one notebook in a new process, unless it is done; its output goes to log.txt."""
+    results = folder / name
+    results.mkdir(parents=True, exist_ok=True)
+    mark, digest = results / "done.json", sources_digest(name)
     if not fresh and mark.is_file():
-        known = json.loads(mark.read_text(encoding="utf-8"))
-        if known["sources"] == digest:
-            return Outcome(name, known["seconds"], failed=False, skipped=True)
+        earlier = json.loads(mark.read_text(encoding="utf-8"))
+        if earlier["sources"] == digest:
+            return Outcome(name, earlier["seconds"], failed=False, skipped=True)
     threads = max(1, (os.cpu_count() or 1) // jobs)
     environment = {
         **os.environ,
         "GONIO_QUICK": "1" if quick else "",
         "GONIO_PAPERS": str(folder),
         "MPLBACKEND": "Agg",
-        # As many threads as leave a core for each process.
+        # The processes share the cores.
         "GONIO_THREADS": os.environ.get("GONIO_THREADS", str(threads)),
         "PYTHONUNBUFFERED": "1",
     }
     start = time.monotonic()
-    with (own / "log.txt").open("w", encoding="utf-8") as log:
+    with (results / "log.txt").open("w", encoding="utf-8") as log:
         done = subprocess.run(
             [sys.executable, str(HERE / f"{name}.py")],
             cwd=HERE,
@@ -129,18 +129,18 @@ def report(outcome: Outcome, folder: Path, number: int, of: int) -> None:
     """One line of progress; where a notebook failed, the end of what it printed."""
     rows = read_rows(folder / outcome.name / "rows.csv")
     odd = sum(row["agrees"] == UNEXPECTED for row in rows)
-    told = f"{len(rows)} rows" + (f", {odd} NOT AS EXPECTED" if odd else "")
+    summary = f"{len(rows)} rows" + (f", {odd} NOT AS EXPECTED" if odd else "")
     state = "done before" if outcome.skipped else f"{outcome.seconds:.0f} s"
     if outcome.failed:
-        told = "FAILED"
-    print(f"[{number:2d}/{of}] {outcome.name}: {state}, {told}", file=sys.stderr, flush=True)
+        summary = "FAILED"
+    print(f"[{number:2d}/{of}] {outcome.name}: {state}, {summary}", file=sys.stderr, flush=True)
     if outcome.failed:
         log = (folder / outcome.name / "log.txt").read_text(encoding="utf-8")
         print("\n".join(log.splitlines()[-15:]), file=sys.stderr, flush=True)
 
 
 def collect(names: Sequence[str], folder: Path, pages: Path) -> None:
-    """Copy figures and tables to the pages; rows of other notebooks stay in the table."""
+    """Copy figures and tables to the pages; rows of other notebooks remain in the table."""
     table = [row for row in read_rows(pages / "agreement.csv") if row["notebook"] not in names]
     table = [row for row in table if row["notebook"] in notebooks()]
     for name in names:
@@ -156,12 +156,12 @@ def collect(names: Sequence[str], folder: Path, pages: Path) -> None:
 
 
 def in_order(rows: Sequence[dict[str, str]]) -> list[dict[str, str]]:
-    """Rows by paper, then by notebook, the instrument last; within a notebook as they came."""
+    """Rows by paper, then by notebook, the instrument last; within a notebook in recorded order."""
 
     def key(row: dict[str, str]) -> tuple[int, str, bool, str]:
         paper, name = row["paper"], row["notebook"]
-        known = PAPERS.index(paper) if paper in PAPERS else len(PAPERS)
-        return known, paper, name.startswith("instrument"), name
+        rank = PAPERS.index(paper) if paper in PAPERS else len(PAPERS)
+        return rank, paper, name.startswith("instrument"), name
 
     return sorted(rows, key=key)
 
@@ -191,26 +191,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--fresh", action="store_true", help="also those that are done")
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--output", type=Path, help="folder for results")
-    given = parser.parse_args(arguments)
-    names = given.names or notebooks()
+    options = parser.parse_args(arguments)
+    names = options.names or notebooks()
     unknown = sorted(set(names) - set(notebooks()))
     if unknown:
         parser.error(f"no notebook {unknown[0]}; there are {', '.join(notebooks())}")
-    mode = "quick" if given.quick else "full"
-    folder = (given.output or HERE / ".results" / mode).resolve()
+    mode = "quick" if options.quick else "full"
+    folder = (options.output or HERE / ".results" / mode).resolve()
     failed = []
-    outcomes = run_all(names, folder, quick=given.quick, fresh=given.fresh, jobs=given.jobs)
+    outcomes = run_all(names, folder, quick=options.quick, fresh=options.fresh, jobs=options.jobs)
     for number, outcome in enumerate(outcomes, 1):
         report(outcome, folder, number, len(names))
         failed += [outcome.name] if outcome.failed else []
     rows = [row for name in names for row in read_rows(folder / name / "rows.csv")]
-    if not given.quick:
+    if not options.quick:
         collect([name for name in names if name not in failed], folder, PAGES)
     print_table(rows)
     odd = [row["item"] for row in rows if row["agrees"] == UNEXPECTED]
     count = Counter(row["agrees"] for row in rows)
-    told = ", ".join(f"{n} {verdict}" for verdict, n in sorted(count.items()))
-    print(f"{len(rows)} rows: {told}. {len(failed)} notebooks failed.")
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(count.items()))
+    print(f"{len(rows)} rows: {counts}. {len(failed)} notebooks failed.")
     return 1 if odd or failed else 0
 
 

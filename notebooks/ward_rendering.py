@@ -130,7 +130,7 @@ for method in ("monte_carlo", "hybrid"):
         abs(bias[method][0]) < 4 * bias[method][1] + 0.005,
         f"standard error {bias[method][1]:.4f}, corrected weights",
     )
-taken = {m: pictures[m] for m in ("deterministic", "monte_carlo", "hybrid")}
+timed = {m: pictures[m] for m in ("deterministic", "monte_carlo", "hybrid")}
 nb.table(
     "methods",
     ["method", "rays a pixel", "seconds here", "noise", "bias of the mean"],
@@ -142,7 +142,7 @@ nb.table(
             f"{noise[m]:.3f}" if m in noise else "none",
             f"{bias[m][0]:+.3f}" if m in bias else f"{-missing:+.3f}",
         ]
-        for m, one in taken.items()
+        for m, one in timed.items()
     ],
 )
 nb.record(
@@ -235,8 +235,8 @@ nb.record(
 def shape(p):
     """Width along y over width along x of the highlight, from second moments."""
     dark = plate("deterministic", "ward", p | {"rho_s": 0.0}, room=room, size=size).radiance
-    own = plate("deterministic", "ward", p, room=room, size=size).radiance - dark
-    w = np.clip(own - 0.2 * own.max(), 0, None)
+    lamp_light = plate("deterministic", "ward", p, room=room, size=size).radiance - dark
+    w = np.clip(lamp_light - 0.2 * lamp_light.max(), 0, None)
     x, y = np.meshgrid(step, step[::-1])
     w = w / w.sum()
     spread = [np.sqrt(np.sum(w * (a - np.sum(w * a)) ** 2)) for a in (x, y)]

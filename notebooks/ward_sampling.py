@@ -84,9 +84,9 @@ nb.record(
 # keep "its starting quadrant" (and calls the equation 7a). atan2 does it.
 
 # %%
-plain = np.arctan(0.16 / 0.05 * np.tan(2 * np.pi * u[1]))
-kept = azimuth(u[1], 0.05, 0.16)
-means = float(np.mean(np.cos(plain))), float(np.mean(np.cos(kept)))
+as_printed = np.arctan(0.16 / 0.05 * np.tan(2 * np.pi * u[1]))
+with_atan2 = azimuth(u[1], 0.05, 0.16)
+means = float(np.mean(np.cos(as_printed))), float(np.mean(np.cos(with_atan2)))
 nb.record(
     "(7b) with atan2: mean of cos phi, rolled brass", 0, means[1], abs(means[1]) < 5 / np.sqrt(n)
 )
@@ -116,7 +116,9 @@ with style():
     axes[0].set_ylim(1e-4, 4)
     axes[0].legend()
     axes[0].set_title("(7a), α = 0.3")
-    for ax, angle, title in zip(axes[1:], (plain, kept), ("as printed", "atan2"), strict=True):
+    for ax, angle, title in zip(
+        axes[1:], (as_printed, with_atan2), ("as printed", "atan2"), strict=True
+    ):
         length = root(u[0], angle, 0.05, 0.16)
         ax.plot((length * np.cos(angle))[few], (length * np.sin(angle))[few], ".", markersize=1)
         ax.set(
@@ -163,19 +165,19 @@ def drawn(theta_i, alpha):
 
 p = {"rho_d": 0.0, "rho_s": 1.0, "alpha_x": 0.2, "alpha_y": 0.2}
 angles = (0.0, 30.0, 60.0, 75.0)
-found, rows = {}, []
+distributions, rows = {}, []
 for angle in angles:
     w, z, up = drawn(np.radians(angle), 0.2)
     exact = directional_albedo(models.get("ward"), p, np.radians(angle)).value
     duer = directional_albedo(models.get("ward_duer"), p, np.radians(angle)).value
-    found[angle] = (float(w.mean()), float(w.std() / np.sqrt(n)), exact, float(up.mean()))
+    distributions[angle] = (float(w.mean()), float(w.std() / np.sqrt(n)), exact, float(up.mean()))
     rows.append([f"{angle:g}", exact, float(w.mean()), float(up.mean()), duer])
 nb.table(
     "weights",
     ["theta_i, deg", "albedo of (5a)", "(7) with weights", "(7) without weights", "Duer's albedo"],
     rows,
 )
-mean, error, exact, uniform = found[60.0]
+mean, error, exact, uniform = distributions[60.0]
 nb.record(
     "(7) with its weights: albedo over rho_s at 60 deg, alpha = 0.2",
     exact,

@@ -38,12 +38,12 @@ FAMILIES = {
 }
 INSTRUMENTS = ("lbl1992", "modern12")
 angles = nb.choose(quick=(25.0, 50.0), full=None)
-found = []
+recovered = []
 with nb.scratch() as folder:
     for members in FAMILIES.values():
         for material in nb.choose(quick=members[:1], full=members):
             for instrument in INSTRUMENTS:
-                found += recover(
+                recovered += recover(
                     material,
                     instrument,
                     folder,
@@ -59,7 +59,7 @@ with nb.scratch() as folder:
 # rho_d and rho_s move with the standard, of which Ward could not know that it is off.
 
 # %% tags=["hide-input"]
-fig = family([one for one in found if one.material in FAMILIES["metals"]], "Metals")
+fig = family([one for one in recovered if one.material in FAMILIES["metals"]], "Metals")
 nb.figure(fig, "metals", "Errors and 95 % intervals of the metals' four parameters.")
 
 # %% [markdown]
@@ -68,7 +68,7 @@ nb.figure(fig, "metals", "Errors and 95 % intervals of the metals' four paramete
 # A bright floor under a weak lobe. rho_d is good to the standard, rho_s has less to go by.
 
 # %% tags=["hide-input"]
-fig = family([one for one in found if one.material in FAMILIES["coated"]], "Coated surfaces")
+fig = family([one for one in recovered if one.material in FAMILIES["coated"]], "Coated surfaces")
 nb.figure(fig, "coated", "Errors and 95 % intervals of the coated surfaces' four parameters.")
 
 # %% [markdown]
@@ -78,7 +78,9 @@ nb.figure(fig, "coated", "Errors and 95 % intervals of the coated surfaces' four
 # itself.
 
 # %% tags=["hide-input"]
-fig = family([one for one in found if one.material in FAMILIES["isotropic"]], "Isotropic surfaces")
+fig = family(
+    [one for one in recovered if one.material in FAMILIES["isotropic"]], "Isotropic surfaces"
+)
 nb.figure(fig, "isotropic", "Errors and 95 % intervals of the isotropic surfaces' parameters.")
 
 # %% [markdown]
@@ -88,14 +90,14 @@ nb.figure(fig, "isotropic", "Errors and 95 % intervals of the isotropic surfaces
 # finds of a surface that reflects just so. The bias is the difference, standard and all.
 
 # %%
-nb.table("materials", HEAD, lines(found))
-record(nb, found, "table of section 6")
+nb.table("materials", HEAD, lines(recovered))
+record(nb, recovered, "table of section 6")
 
 # %%
 for instrument in INSTRUMENTS:
     pair = {
         one.parameter: one
-        for one in found
+        for one in recovered
         if (one.material, one.instrument) == ("white_ceramic_tile", instrument)
     }
     x, y = pair["alpha_x"], pair["alpha_y"]

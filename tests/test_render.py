@@ -335,7 +335,7 @@ def test_an_environment_is_drawn_by_its_light():
     towards = world.draw(np.zeros((40_000, 3)), np.random.default_rng(1).random((2, 40_000)))
     total = float(np.sum(world.radiance * world.solid_angle[:, None]))
     np.testing.assert_allclose(towards.radiance / towards.density, total, rtol=1e-12)
-    back = world.seen(np.zeros((40_000, 3)), towards.along)
+    back = world.incoming(np.zeros((40_000, 3)), towards.along)
     # A direction on the edge of a pixel may round to its neighbour.
     assert np.mean(back.density == towards.density) > 0.999
     # The mean direction against the sum over pixels, each evenly filled.
@@ -441,7 +441,7 @@ def test_lights_and_cameras_refuse_what_is_none():
         Environment(np.ones((2, 2, 3)))
     with pytest.raises(ConfigurationError, match="theta_i = 90 deg; the lamp stands within 90"):
         cross_section("lambert", theta_i=math.pi / 2)
-    with pytest.raises(ConfigurationError, match="a place is not on the cylinder"):
+    with pytest.raises(ConfigurationError, match="a position is not on the cylinder"):
         cross_section("lambert", x=np.array([1.0]))
 
 

@@ -373,7 +373,7 @@ def test_many_samples_are_thinned_and_counted(inputs, monkeypatch):
 def test_without_uncertainties_residuals_say_so(inputs):
     blind = replace(inputs.samples, u_independent=None, noise_slope=None, u_reference=None)
     found = residuals.residuals(blind, replace(inputs.fit, weights="none"))
-    assert not found.known
+    assert not found.in_uncertainties
     assert np.mean(found.z**2) == pytest.approx(1.0)
     assert found.unit == "their root mean square"
 

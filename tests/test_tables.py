@@ -206,5 +206,6 @@ def test_statements_that_cannot_be_read_are_refused(given, match):
 
 def test_the_command_refuses_before_it_reads(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, _, err = run("report", "gone.json", "--date", "yesterday")
+    (tmp_path / "fit.json").write_text("not a fit")
+    code, _, err = run("report", "fit.json", "--date", "yesterday")
     assert (code, "'yesterday' is not a day" in err) == (2, True)

@@ -120,7 +120,17 @@ def command(
     from gonio.verbs.report import report
 
     with stages() as callback:
-        made = report(source, choose=choose, statement=stated, progress=callback)
+        made = report(
+            source,
+            choose=choose,
+            operator=operator,
+            dates=dates,
+            issued=issued,
+            serials=serials,
+            coverage=coverage,
+            dof=dof,
+            progress=callback,
+        )
     made.save(output)
     for line in made.absent:
         click.echo(f"left out: {line}", err=True)

@@ -1,7 +1,7 @@
-"""The loops around a kernel that is a function of whole arrays: what numba has no part in.
+"""The loops around a kernel that is a function of whole arrays, without numba.
 
 `loops_of` and its companions give the records that `gonio.kernels.build` compiles, with the same
-arguments, so that whoever evaluates or fits a model need not know which kind its kernel is of.
+arguments, so that evaluation and fits do not depend on the kind of kernel.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ class ArrayKernel:
     Parameters
     ----------
     function : callable
-        What the user wrote; its source is the model's source.
+        The user's function; its source is the model's source.
     values : callable
         `values(w_i, w_r, p)`: f (n,) of pairs of unit vectors (n, 3) above the horizon.
     gradient : callable
         `gradient(w_i, w_r, p)`: f (n,) and its derivatives (n, parameters).
     n_parameters : int
     note : str
-        What a fit should say of it.
+        Remark that a fit states.
     """
 
     function: Callable[..., Any]
@@ -228,7 +228,7 @@ def texel_loops_of(kernel: ArrayKernel, small_fits: Any) -> TexelLoops:
 
 
 class _Cells:
-    """The members of the samples first to last, and what they add up to."""
+    """The members of the samples first to last, and their weighted sums."""
 
     def __init__(
         self, w_i: Array, w_r: Array, weight: Array, offsets: Array, first: int, last: int

@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 
 UNDETERMINED = 1e-10  # a pivot of the scaled matrix below this counts as no information
-HELD = 1e-12  # of the largest slope: a bound holds where the slope points out of it
+HELD = 1e-12  # share of the largest slope by which the slope at an active bound points outwards
 ROUNDS = 200  # trials of the sum's multiplier
-ROUNDING = 1e-14  # of the sum: near enough to its limit
+ROUNDING = 1e-14  # relative distance of the sum from its limit that counts as reached
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -34,12 +34,11 @@ def constrained_step(h, g, low, high, c, slack, damping):
     Returns
     -------
     x : ndarray, shape (P,)
-        0 for parameters about which H says nothing, and a solution among several where H is
-        singular.
+        0 for parameters without curvature in H, and one of several solutions where H is singular.
     decrease : float
-        2 g.x - x.H.x: by how much chi-squared falls where H is half its second derivative.
+        2 g.x - x.H.x: the decrease of chi-squared where H is half its second derivative.
     multiplier : float
-        Slope that the limit on the sum takes up; 0 where it holds nothing.
+        Multiplier of the limit on the sum; 0 where the limit is not active.
     """
     n = g.shape[0]
     scale = np.zeros(n)
@@ -76,14 +75,14 @@ def constrained_step(h, g, low, high, c, slack, damping):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def next_point(h, g, p, lower, upper, c, damping):
-    """Where a Gauss-Newton step from p leads between the bounds, with c.p at most 1.
+    """End of a Gauss-Newton step from p between the bounds, with c.p at most 1.
 
     Returns
     -------
     point : ndarray, shape (P,)
         Exactly on the bounds that it meets.
     decrease : float
-        By how much the undamped step would lower chi-squared.
+        Decrease of chi-squared by the undamped step.
     limited : bool
         Whether it is c.p that ends the undamped step.
     """
@@ -136,57 +135,57 @@ def _with_sum(m, g, lo, up, c, slack, excess, y):
 
 @njit(nogil=True, error_model="numpy")
 def _box(m, g, lo, up):
-    """The best point between the bounds alone: an active set from which one bound goes at a time.
+    """The best point between the bounds alone: an active set that frees one bound at a time.
 
-    The diagonal of m is 1 + damping, or 0 with all its row where nothing is known.
+    The diagonal of m is 1 + damping, or 0 with all its row where there is no information.
     """
     n = g.shape[0]
     y, r = np.zeros(n), np.empty(n)
-    held = np.zeros(n, np.int8)
+    status = np.zeros(n, np.int8)
     largest = 0.0
     for j in range(n):
         largest = max(largest, abs(g[j]))
         if m[j, j] == 0.0:
-            held[j] = 2
+            status[j] = 2
         elif (lo[j] >= 0.0 and g[j] <= 0.0) or (up[j] <= 0.0 and g[j] >= 0.0):
-            held[j] = 1
+            status[j] = 1
     for _ in range(10 * n + 10):
         _residual(m, g, y, r)
-        d = _solved(m, r, held)
+        d = _solved(m, r, status)
         step, blocking = 1.0, -1
         for j in range(n):
-            if held[j] == 0 and d[j] != 0.0:
+            if status[j] == 0 and d[j] != 0.0:
                 room = (up[j] - y[j]) / d[j] if d[j] > 0.0 else (lo[j] - y[j]) / d[j]
                 if room < step:
                     step, blocking = max(room, 0.0), j
         for j in range(n):
-            if held[j] == 0:
+            if status[j] == 0:
                 y[j] = min(max(y[j] + step * d[j], lo[j]), up[j])
         if blocking >= 0:
             y[blocking] = up[blocking] if d[blocking] > 0.0 else lo[blocking]
-            held[blocking] = 1
+            status[blocking] = 1
             continue
         _residual(m, g, y, r)
         worst, freed = HELD * largest, -1
         for j in range(n):
-            if held[j] == 1 and lo[j] < up[j]:
+            if status[j] == 1 and lo[j] < up[j]:
                 inward = r[j] if y[j] <= lo[j] else -r[j]
                 if inward > worst:
                     worst, freed = inward, j
         if freed < 0:
             break
-        held[freed] = 0
+        status[freed] = 0
     return y
 
 
 @njit(nogil=True, error_model="numpy")
-def _solved(m, r, held):
-    """m d = r on what is not held, by Cholesky; 0 where a pivot says that nothing new is known."""
+def _solved(m, r, status):
+    """m d = r for parameters of status 0, by Cholesky; 0 where a pivot has no information."""
     n = r.shape[0]
     factor = np.zeros((n, n))
     d = np.zeros(n)
     for j in range(n):
-        if held[j] != 0:
+        if status[j] != 0:
             continue
         pivot = m[j, j]
         for k in range(j):
@@ -202,7 +201,7 @@ def _solved(m, r, held):
             total -= factor[j, k] * d[k]
         d[j] = total / root
         for i in range(j + 1, n):
-            if held[i] == 0:
+            if status[i] == 0:
                 inner = m[i, j]
                 for k in range(j):
                     inner -= factor[i, k] * factor[j, k]
@@ -259,18 +258,18 @@ def solve_amplitudes(grams, points, linear, lower, upper, c, limit):
     """
     n = linear.shape[0]
     out = np.empty(grams.shape[0])
-    low, high, own = np.empty(n), np.empty(n), np.empty(n)
+    low, high, coefficients = np.empty(n), np.empty(n), np.empty(n)
     h, g = np.empty((n, n)), np.empty(n)
     for b in range(grams.shape[0]):
         slack = limit - _dot(c, points[b])
         for a in range(n):
             j = linear[a]
             low[a], high[a] = lower[j] - points[b, j], upper[j] - points[b, j]
-            own[a] = c[j]
+            coefficients[a] = c[j]
             g[a] = grams[b, 0, a + 1]
             for e in range(n):
                 h[a, e] = grams[b, a + 1, e + 1]
-        x, decrease, _ = constrained_step(h, g, low, high, own, max(slack, 0.0), 0.0)
+        x, decrease, _ = constrained_step(h, g, low, high, coefficients, max(slack, 0.0), 0.0)
         out[b] = grams[b, 0, 0] - decrease
         for a in range(n):
             j = linear[a]

@@ -3,14 +3,14 @@
 numba caches machine code only for functions that live in a file, so the loops of each model are
 written, header and all, to a file in the cache folder whose name is a hash of every source that
 went into it: a changed model, a changed loop or a changed numba makes a new file, and stale code
-cannot be run. A kernel that is written when asked for, such as a sum of models, goes the same way,
-and so does one that lives in no file.
+cannot be run. The same holds for a kernel that is generated, such as a sum of models, and for one
+that lives in no file.
 
-The header defines, for one model, the names that the templates take as parameters; what each must
-do stands in the docstring of `gonio.kernels.loops.loops_around`. How templates become text stands
-in `gonio.kernels.template`.
+The header defines, for one model, the names that the templates take as parameters; the
+docstring of `gonio.kernels.loops.loops_around` describes each. `gonio.kernels.template` describes
+how templates become text.
 
-Loops for float32 are another such file, made when the first float32 directions come: the same
+Loops for float32 are another such file, made for the first float32 directions: the same
 kernel and the same loops, with their constants in single precision (`gonio.kernels.single`).
 """
 
@@ -101,7 +101,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class SingleLoops:
-    """Those loops that take float32 directions and write float32."""
+    """The loops that take float32 directions and write float32."""
 
     evaluate: Callable[..., None]
     evaluate_gradient: Callable[..., None]
@@ -127,14 +127,14 @@ def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     """
     if isinstance(kernel, ArrayKernel):
         return loops_of(kernel)
-    return _made(Loops, kernel, "", *_double(kernel, n_parameters))
+    return _compiled_record(Loops, kernel, "", *_double(kernel, n_parameters))
 
 
 @cache
 def moment_loops_for(
     kernel: Callable[..., Any], n_parameters: int, linear: tuple[int, ...]
 ) -> MomentLoops:
-    """Loops that sum up chi-squared as a function of the parameters with the numbers `linear`."""
+    """Loops for chi-squared as a function of the parameters with the numbers `linear`."""
     if isinstance(kernel, ArrayKernel):
         return moment_loops_of(kernel, linear)
     stores = [
@@ -142,8 +142,8 @@ def moment_loops_for(
     ]
     header = _header(kernel, n_parameters, stores or ["    pass"])
     header += f"\nn_amplitudes = {len(linear)}\n"
-    kept, sums = _kept(kernel, n_parameters), _dispatch(1 + len(linear))
-    return _made(MomentLoops, kernel, "_moments", header, *kept, sums, moments_around)
+    kept, sums = _kept_pieces(kernel, n_parameters), _dispatch(1 + len(linear))
+    return _compiled_record(MomentLoops, kernel, "_moments", header, *kept, sums, moments_around)
 
 
 @cache
@@ -154,14 +154,14 @@ def texel_loops_for(kernel: Callable[..., Any], n_parameters: int) -> TexelLoops
     header = _header(kernel, n_parameters, _all_derivatives(n_parameters))
     header += _SMALL_FITS.format(n_parameters=n_parameters)
     # The values, the part without amplitudes, and as many amplitudes as models have.
-    kept, sums = _kept(kernel, n_parameters), _dispatch(2, 3, 4)
+    kept, sums = _kept_pieces(kernel, n_parameters), _dispatch(2, 3, 4)
     sums += f"\nKEPT = {split(kernel).n}\n"
-    return _made(TexelLoops, kernel, "_texels", header, *kept, sums, texels_around)
+    return _compiled_record(TexelLoops, kernel, "_texels", header, *kept, sums, texels_around)
 
 
 @cache
 def small_fits(n_parameters: int) -> ModuleType:
-    """The compiled functions of `gonio.kernels.small_fits` for models with so many parameters."""
+    """The compiled functions of `gonio.kernels.small_fits` for this number of parameters."""
     header = f"from numba import njit\n\nn_p = {n_parameters}\n" + _dispatch(1 + n_parameters)
     text = module_text(header, small_fits_of)
     sums = Path(__file__).with_name("sums.py").read_text(encoding="utf-8")
@@ -178,7 +178,7 @@ def single_loops_for(kernel: Callable[..., Any], n_parameters: int) -> SingleLoo
     if isinstance(kernel, ArrayKernel):
         return SingleLoops(loops_of(kernel).evaluate, loops_of(kernel).evaluate_gradient)
     if any(must_be_double(f) or definition(f) is None for f in reached(kernel)):
-        return _made(SingleLoops, kernel, "", *_double(kernel, n_parameters))
+        return _compiled_record(SingleLoops, kernel, "", *_double(kernel, n_parameters))
     stores = _all_derivatives(n_parameters, "_float32(0.0)")
     header = _header(kernel, n_parameters, stores, single=True)
     functions = read(loops_around).functions
@@ -186,7 +186,7 @@ def single_loops_for(kernel: Callable[..., Any], n_parameters: int) -> SingleLoo
         "\n\n" + DECORATOR + text_in_single(functions[name], (name,))
         for name in SingleLoops.__dataclass_fields__
     ]
-    return _made(SingleLoops, kernel, "_single", header, *converted)
+    return _compiled_record(SingleLoops, kernel, "_single", header, *converted)
 
 
 def _double(kernel: Callable[..., Any], n_parameters: int) -> list[Piece]:
@@ -194,18 +194,22 @@ def _double(kernel: Callable[..., Any], n_parameters: int) -> list[Piece]:
     header = _header(kernel, n_parameters, _all_derivatives(n_parameters))
     # All columns of a fit, or those of up to two amplitudes.
     sums = _dispatch(2, 3, 1 + n_parameters)
-    return [header, *_kept(kernel, n_parameters), sums, loops_around]
+    return [header, *_kept_pieces(kernel, n_parameters), sums, loops_around]
 
 
-def _made(record: type[Record], kernel: Callable[..., Any], suffix: str, *pieces: Piece) -> Record:
-    """The record of the functions that these pieces make around a kernel."""
+def _compiled_record(
+    record: type[Record], kernel: Callable[..., Any], suffix: str, *pieces: Piece
+) -> Record:
+    """The record of the compiled functions that these pieces define around a kernel."""
     source = plain(kernel)
-    own = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
+    texts = [
+        path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))
+    ]
     read_in, complete = ingredients(reached(source))
     module = generated_module(
         (source.__module__ or "kernel").replace(".", "_") + suffix,
         module_text(*pieces),
-        [*_versions(), *own, *read_in],
+        [*_versions(), *texts, *read_in],
         bound={"source": source},
         kept=complete,
     )
@@ -214,7 +218,7 @@ def _made(record: type[Record], kernel: Callable[..., Any], suffix: str, *pieces
 
 
 def _versions() -> list[str]:
-    """What machine code depends on besides its source."""
+    """Versions and hardware on which machine code depends besides its source."""
     import numba
 
     return [numba.__version__, sys.version]
@@ -227,8 +231,8 @@ def _dispatch(*sizes: int) -> str:
     return dispatch(sizes)
 
 
-def _kept(kernel: Callable[..., Any], n_parameters: int) -> tuple[Piece, Piece]:
-    """The two parts of a kernel, and the loops over what the first one says."""
+def _kept_pieces(kernel: Callable[..., Any], n_parameters: int) -> tuple[Piece, Piece]:
+    """The two parts of a kernel, and the loops over the results of the first one."""
     n = split(kernel).n
     arguments = [f"rows[{k}, k]" for k in range(n)] + [f"q[{j}]" for j in range(n_parameters)]
     stores = "\n".join(f"    rows[{k}, k] = kept[{k}]" for k in range(n))
@@ -245,7 +249,7 @@ def _all_derivatives(n_parameters: int, zero: str = "0.0") -> list[str]:
 def _header(
     kernel: Callable[..., Any], n_parameters: int, stores: Iterable[str], *, single: bool = False
 ) -> str:
-    """What binds the loops to one kernel; `stores` are the lines that keep its derivatives."""
+    """The names that bind the loops to one kernel; `stores` are lines that keep derivatives."""
     real = "_float32" if single else "np.float64"
     return _HEADER.format(
         name=f"{kernel.__module__}.{kernel.__name__}",

@@ -1,13 +1,13 @@
 """exp, acos, sine and cosine that a compiler can vectorise: polynomials instead of calls into libm.
 
 A call of libm in a compiled loop is a call for each element; written out as polynomials, with
-selects in place of branches, the functions become SIMD code, several times faster. They are plain
-Python, and the interpreter runs what is compiled, except for `muladd` and `pow2`, whose compiled
+selects in place of branches, the functions become SIMD code, several times faster. They are Python
+functions that the interpreter runs too, except for `muladd` and `pow2`, whose compiled
 twins are single instructions.
 
 Two hooks serve `gonio.kernels.build.compiled`. `function.compiled_twin()` gives the compiled form
-of what machine code does differently. `function.single_twin` is the function to use where all is
-computed in single precision: shorter polynomials, and the range that float32 has.
+of a function that differs in machine code. `function.single_twin` replaces the function in single
+precision: shorter polynomials, and the range that float32 has.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def pow2(n: float) -> float:
 
 
 def exp(x: float) -> float:
-    """e to the power x for x in [-708, 709]; held at the ends beyond them.
+    """e to the power x for x in [-708, 709]; constant beyond these ends.
 
     x = n ln 2 + r with |r| <= ln(2)/2, exp(r) by the polynomial of least maximum relative error
     there, 3e-18.
@@ -107,7 +107,7 @@ def arcvers(w: float) -> float:
     """The angle from 0 to pi/2, radians, whose versine 1 - cos is w, for w in [0, 1].
 
     sqrt(w) P(w), P being the polynomial of least maximum relative error, 1.5e-17. With powers of
-    w, not of the cosine, all terms that count are positive; so a small angle is as exact as its
+    w, not of the cosine, all important terms are positive; so a small angle is as exact as its
     versine.
 
     Examples

@@ -37,12 +37,12 @@ def generated_module(
     text : str
         Source of the module.
     ingredients : iterable of str
-        What the compiled code depends on besides the text; it goes into the hash.
+        Texts on which the compiled code depends besides `text`; they go into the hash.
     bound : mapping, optional
-        Objects that the module knows by these names before its text is run.
+        Objects that the module has under these names before its text runs.
     kept : bool
         Whether another process may use the file. False where the hash cannot tell what the code
-        depends on; the file then stands in a temporary folder of this process.
+        depends on; the file is then in a temporary folder of this process.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def generated_module(
         Registered under its name: numba finds the environment of cached code by it.
     """
     digest = hashlib.sha256("\0".join([text, *ingredients]).encode()).hexdigest()[:16]
-    path = (cache_folder() if kept else _own_folder()) / f"{prefix}_{digest}.py"
+    path = (cache_folder() if kept else _process_folder()) / f"{prefix}_{digest}.py"
     if not path.exists():
         with tempfile.NamedTemporaryFile(
             "w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8"
@@ -68,6 +68,6 @@ def generated_module(
 
 
 @cache
-def _own_folder() -> Path:
+def _process_folder() -> Path:
     """A temporary folder of this process."""
     return Path(tempfile.mkdtemp(prefix="gonio-"))

@@ -1,4 +1,4 @@
-"""What plain Python cannot say to the compiler: single instructions, written in LLVM's terms.
+"""Single instructions that Python cannot express, written in LLVM's terms.
 
 Imported only where loops are compiled; it needs numba.
 """
@@ -23,8 +23,8 @@ _LAYOUT = {
 def muladd(context, a, b, c):
     """a b + c, rounded once.
 
-    `llvm.fma` and not `llvm.fmuladd`, of which the compiler decides place by place whether it is
-    fused: the rest of a loop would then differ from its vectors in the last bit.
+    `llvm.fma` and not `llvm.fmuladd`, which the compiler may fuse in one place and not in another:
+    the rest of a loop would then differ from its vectors in the last bit.
     """
     real = types.float32 if {a, b, c} == {types.float32} else types.float64
 
@@ -58,10 +58,10 @@ def pow2(context, n):
 
 @intrinsic
 def align_stack(context):
-    """Let the function in which this stands begin its stack at a multiple of 64 bytes.
+    """Align the stack of the calling function to a multiple of 64 bytes.
 
-    Loops with many constants keep some of them on the stack. Where these cross a cache line, as by
-    chance they do in most processes, AVX-512 loses up to 40 per cent.
+    Loops with many constants keep some of them on the stack. Where these cross a cache line, which
+    chance decides for each process, AVX-512 loses up to 40 per cent.
     """
 
     def build(context, builder, signature, arguments):

@@ -1,6 +1,6 @@
-"""Evaluation at directions that come again: what they alone say is kept (`gonio.kernels.split`).
+"""Repeated evaluation at the same directions: their numbers are kept (`gonio.kernels.split`).
 
-`kept_around` is a template (`gonio.kernels.template`) that stands in front of those loops that
+`kept_around` is a template (`gonio.kernels.template`) in front of the loops that
 evaluate a model at the same directions with many parameters.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -29,17 +29,17 @@ def kept_around(
     Parameters
     ----------
     geometry : callable
-        `geometry(xi, yi, zi, xr, yr, zr)`: what the directions of a pair say, n_kept numbers.
+        `geometry(xi, yi, zi, xr, yr, zr)`: n_kept numbers of the directions of a pair.
     keep : callable
         `keep(kept, rows, k)`: put these numbers into column k of `rows` (n_kept, n).
     shape : callable
         `shape(rows, k, q)`: (f, df/dp_0, ...) of column k with the parameters q.
     store : callable
-        As `gonio.kernels.loops.loops_around` has it.
+        As for `gonio.kernels.loops.loops_around`.
     """
 
     def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
-        """What n direction pairs say to the model, (n_kept, n); whether all are above the horizon.
+        """Numbers (n_kept, n) of n direction pairs; returns whether all are above the horizon.
 
         Pairs at or below the horizon are taken at z = 1; lit (n,) is 0 for them and 1 for the
         others.
@@ -55,7 +55,7 @@ def kept_around(
         return count == xi.shape[0]
 
     def kept_gradient(rows, lit, all_lit, q, out, gradient):
-        """f of n pairs, and its derivatives, as `evaluate_gradient` has them."""
+        """f of n pairs, and its derivatives, as in `evaluate_gradient`."""
         for k in range(out.shape[0]):
             both = shape(rows, k, q)
             out[k] = both[0]

@@ -27,7 +27,7 @@ BLOCK = 256
 
 @dataclass(frozen=True)
 class Loops:
-    """The loops of one model; what each does stands at its definition in `loops_around`."""
+    """The loops of one model; `loops_around` describes each."""
 
     evaluate: Callable[..., None]
     evaluate_gradient: Callable[..., None]
@@ -63,7 +63,7 @@ def loops_around(
         `store(both, above, gradient, k)`: put the derivatives of pair k into its column, 0 where
         it is not above the horizon.
     n_kept, keep_geometry, kept_gradient : int, callable, callable
-        Evaluation at directions that come again, see `gonio.kernels.kept`.
+        Repeated evaluation at the same directions, see `gonio.kernels.kept`.
     add_products, mirror, sum_of_squares : callable
         Those of `gonio.kernels.sums`.
     """

@@ -1,12 +1,12 @@
-"""Loops that tell chi-squared for all values of the amplitudes at once.
+"""Loops that give chi-squared for all values of the amplitudes at once.
 
 f is linear in a model's amplitudes a (`Parameter.linear`), so that with d = a - a_ref
 
     chi2(a) = c - 2 g.d + d.H d,   c = sum W r^2,  g_j = sum W r f_j,  H_jk = sum W f_j f_k
 
 where r = y - f at the amplitudes a_ref and f_j = df/da_j. `moments_around` is a template
-(`gonio.kernels.template`) as `loops_around` is; `store` keeps the derivatives by the amplitudes
-alone, and the compiler leaves the others out.
+(`gonio.kernels.template`) as `loops_around` is; `store` keeps only the derivatives by the
+amplitudes, and the compiler drops the others.
 
 A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row.
 """
@@ -45,9 +45,9 @@ def moments_around(
     Parameters
     ----------
     n_amplitudes : int
-        Number of amplitudes, which `store` keeps the derivatives by.
+        Number of amplitudes, whose derivatives `store` keeps.
     unpack, call, store, n_kept, keep_geometry, kept_gradient, add_products
-        As `gonio.kernels.loops.loops_around` has them.
+        As for `gonio.kernels.loops.loops_around`.
     """
 
     def _gradient(xi, yi, zi, xr, yr, zr, q, out, gradient):
@@ -105,7 +105,7 @@ def moments_around(
     def factored_moments(components, factor, steps, linear, value, weight, batch, out):
         """`moments` of samples with cells, over which each part of f is integrated by a factor.
 
-        factor (1 + amplitudes, 1 + others, n): factor[0] for what stays of f without the
+        factor (1 + amplitudes, 1 + others, n): factor[0] for the part of f without the
         amplitudes, factor[1 + j] for f_j; the value of each and its slopes by the other parameters,
         whose steps (B, others) each vector brings. `linear` holds the numbers of the amplitudes.
         """

@@ -1,4 +1,4 @@
-"""A scalar function of plain Python and `math`, compiled with all that it calls."""
+"""Compile a scalar function of Python and `math` with all functions that it calls."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from gonio.kernels.sources import bound_names, is_python, plain
 def compiled(function: Callable[..., Any], *, single: bool = False) -> Callable[..., Any]:
     """`function` compiled by numba together with the plain functions that it calls by name.
 
-    With `single` their constants are float32, and so is all that they make of float32 arguments.
+    With `single` their constants are float32, and so are their results of float32 arguments.
     """
     from numba import njit
 
     source = plain(function)
     if hasattr(source, "compiled_twin"):
-        # A function that Python and machine code do differently brings its own compiled form.
-        own: Callable[..., Any] = source.compiled_twin()
-        return own
+        # A function that differs between Python and machine code has its own compiled form.
+        machine_form: Callable[..., Any] = source.compiled_twin()
+        return machine_form
     if single:
         source = in_single(plain(getattr(source, "single_twin", source)))
     called = {
@@ -31,7 +31,7 @@ def compiled(function: Callable[..., Any], *, single: bool = False) -> Callable[
         if is_python(callee)
     }
     names = {**source.__globals__, **called}
-    # Cached code is found again by the name of a module that another process can import.
+    # numba finds cached code by the name of a module that another process can import.
     home = source.__module__
     if home == "__main__" or home not in sys.modules:
         names["__name__"] = __name__

@@ -6,7 +6,7 @@ read again from its file, and every number in it that takes part in real arithme
 and rounded once), and whole numbers that meet real ones. Indices, ranges and whole powers stay.
 
 What is a whole number is inferred from literals, `range`, `len`, `int`, shapes, and from
-parameters and results that are annotated `int`; a name is one if all that it is ever bound to is.
+parameters and results that are annotated `int`; a name is one if all its values are.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _FOLDED = {
 
 
 def must_be_double(function: FunctionType) -> bool:
-    """Whether this function stands in `DOUBLE`."""
+    """Whether `DOUBLE` names this function."""
     return function.__module__ in DOUBLE or f"{function.__module__}.{function.__name__}" in DOUBLE
 
 
@@ -69,14 +69,16 @@ def in_single(function: FunctionType) -> FunctionType:
     return twin
 
 
-def text_in_single(text: str, wanted: tuple[str, ...]) -> str:
-    """The wanted functions of a module, in their order there, with their constants as float32."""
-    found = [
+def text_in_single(text: str, names: tuple[str, ...]) -> str:
+    """The named functions of a module, in their order there, with their constants as float32."""
+    definitions = [
         _converted(node, {})
         for node in ast.parse(text).body
-        if isinstance(node, ast.FunctionDef) and node.name in wanted
+        if isinstance(node, ast.FunctionDef) and node.name in names
     ]
-    return "\n\n\n".join(ast.unparse(ast.fix_missing_locations(node)) for node in found) + "\n"
+    return (
+        "\n\n\n".join(ast.unparse(ast.fix_missing_locations(node)) for node in definitions) + "\n"
+    )
 
 
 def _rounded(value: object) -> object:
@@ -191,7 +193,7 @@ class _Converter(ast.NodeTransformer):
         self.returns_int = "int" in ast.unparse(definition.returns or ast.Name("None"))
 
     def real(self, node: ast.expr) -> ast.expr:
-        """The expression where a real number is wanted."""
+        """The expression where a real number is needed."""
         if isinstance(node, ast.Tuple):
             node.elts = [self.real(item) for item in node.elts]
             return node
@@ -202,7 +204,7 @@ class _Converter(ast.NodeTransformer):
         return _call(0.0, done) if self.whole(node) else done
 
     def value(self, node: ast.expr) -> float | complex | None:
-        """The number that a constant expression is; None if it is none."""
+        """Value of a constant expression; None for any other."""
         match node:
             case ast.Constant(value=value):
                 return _number(value)
@@ -210,8 +212,8 @@ class _Converter(ast.NodeTransformer):
                 return _number(self.globals.get(name))
             case ast.Attribute(value=ast.Name(id=name), attr=attribute):
                 module = None if name in self.whole.local else self.globals.get(name)
-                known = getattr(module, attribute, None) if type(module) is ModuleType else None
-                return _number(known)
+                constant = getattr(module, attribute, None) if type(module) is ModuleType else None
+                return _number(constant)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 value = self.value(operand)
                 return None if value is None else -value
@@ -271,7 +273,7 @@ class _Converter(ast.NodeTransformer):
         return node
 
     def whole_parameters(self, called: ast.expr) -> set[int | str | None]:
-        """Places and names of the parameters of a function that are annotated `int`."""
+        """Positions and names of the parameters of a function that are annotated `int`."""
         function = self.globals.get(called.id) if isinstance(called, ast.Name) else None
         if not isinstance(function, FunctionType):
             return set()

@@ -1,10 +1,10 @@
-"""The arithmetic of a small fit, whatever the model: what `texels.py` calls between evaluations.
+"""The arithmetic of a small fit, independent of the model; `texels.py` calls it.
 
 `small_fits_of` is a template (`gonio.kernels.template`), compiled once for each number of
 parameters `n_p`: loops over few parameters of known number are written out. Sums over samples may
-be taken in any order, so that they become SIMD code. A fit runs by turns: the model is evaluated at
-`trial`, and `advance` says where to evaluate it next, until a minimum is reached. Steps are those
-of Gauss and Newton, damped where they fail (Levenberg-Marquardt), inside the bounds; parameters
+be taken in any order, so that they become SIMD code. A fit alternates: the model is evaluated at
+`trial`, and `advance` gives the next trial, until a minimum is reached. Steps are those of Gauss
+and Newton, damped where they fail (Levenberg-Marquardt), inside the bounds; parameters
 that `log` names move by their logarithm. h = J^T W J, g = J^T W r, with r = y - f.
 """
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -16,14 +16,14 @@ from typing import Any
 
 from gonio.kernels.template import any_order
 
-STEPS = 200  # evaluations, after which a fit is given up
+STEPS = 200  # most evaluations of a fit
 SWEEPS = 200
-STOP = 3e-2  # a step this small beside the uncertainties is the last; it leaves a tenth of it
-DAMPED = 0.1  # what a first step that failed is damped with
-LARGEST = 1.7976931348623157e308  # of the finite numbers
-ROUNDING = 1e-12  # of the norm of the data: what a step may change by rounding alone
+STOP = 3e-2  # a step below this share of the uncertainties is the last; its error is a tenth of it
+DAMPED = 0.1  # damping after the first step that failed
+LARGEST = 1.7976931348623157e308  # largest finite number
+ROUNDING = 1e-12  # change by rounding alone, over the norm of the data
 UNDETERMINED = 1e-10  # smallest pivot of the scaled curvature that counts as information
-TOLD_APART = 3.84  # chi-squared by which an amplitude must differ from its bound
+DISTINCT = 3.84  # chi-squared by which an amplitude must differ from its bound
 GOING, CONVERGED, STUCK = 0, 1, 2
 CHI2, DAMPING, COUNT, SIZE, BEST, VERIFIED, STEP = 0, 1, 2, 3, 4, 5, 6
 
@@ -34,7 +34,7 @@ class SmallFits:
 
     prepare: Callable[..., tuple[int, int]]
     split_basis: Callable[..., None]
-    alike: Callable[..., None]
+    constant_rows: Callable[..., None]
     project: Callable[..., None]
     spread: Callable[..., None]
     scores: Callable[..., None]
@@ -56,8 +56,8 @@ def small_fits_of(
     def prepare(lit, weight, value, y, iv, wy, state):
         """Usable values and weights of one texel, 0 elsewhere; how many there are.
 
-        The second number says how many of those with a weight are not usable. What y, iv and wy
-        hold beyond the values is left alone.
+        The second number counts the unusable ones among those with a weight. Elements of y, iv and
+        wy beyond the values keep their value.
         """
         size = count = weighted = 0.0
         for k in range(value.shape[0]):
@@ -74,11 +74,10 @@ def small_fits_of(
         return int(count), int(weighted - count)
 
     def split_basis(grid, m, linear, columns, basis):
-        """What f is made of at point m of the grid: the part without amplitudes, then df/da.
+        """Parts of f at point m of the grid: the part without amplitudes, then df/da.
 
         `columns` holds f and its derivatives there; row 0 of the basis (1 + 1 + amplitudes, N) is
-        left for the values. With the weighted products of all these rows chi2 is known for all
-        amplitudes.
+        for the values. The weighted products of all these rows give chi2 for all amplitudes.
         """
         n = columns.shape[1]
         for k in range(n):
@@ -89,20 +88,20 @@ def small_fits_of(
                 basis[1, k] -= a * columns[1 + linear[i], k]
                 basis[2 + i, k] = columns[1 + linear[i], k]
 
-    def alike(basis, same):
-        """Which rows of the basis are the same at every point of the grid."""
+    def constant_rows(basis, constant):
+        """Mark the rows of the basis that are the same at every point of the grid."""
         for row in range(basis.shape[1]):
-            same[row] = True
+            constant[row] = True
             for m in range(1, basis.shape[0]):
                 for k in range(basis.shape[2]):
-                    same[row] = same[row] and basis[m, row, k] == basis[0, row, k]
+                    constant[row] = constant[row] and basis[m, row, k] == basis[0, row, k]
 
     @any_order
-    def project(basis, same, wy, out):
+    def project(basis, constant, wy, out):
         """Weighted sums of the values with the rows of the basis but the first, out[row, m]."""
         n_grid = basis.shape[0]
         for row in range(1, basis.shape[1]):
-            if same[row]:
+            if constant[row]:
                 total = 0.0
                 for k in range(wy.shape[0]):
                     total += basis[0, row, k] * wy[k]
@@ -136,8 +135,8 @@ def small_fits_of(
         """chi2 at each point of the grid with the best amplitudes, inside their bounds or not.
 
         sums[a, b, m]: weighted products of [values, part without amplitudes, df/da, ...]. It is
-        what chi2 can be at best; `start` puts the amplitudes inside their bounds where that
-        matters. More than two amplitudes are left to it altogether.
+        a lower bound of chi2; `start` puts the amplitudes inside their bounds where that matters.
+        It also solves all cases of more than two amplitudes.
         """
         n_a = sums.shape[0] - 2
         size = state[SIZE]
@@ -157,15 +156,15 @@ def small_fits_of(
                 g_0, g_1 = sums[0, 2, m] - sums[1, 2, m], sums[0, 3, m] - sums[1, 3, m]
                 h_0, h_01, h_1 = sums[2, 2, m], sums[2, 3, m], sums[3, 3, m]
                 det = h_0 * h_1 - h_01 * h_01
-                known = det > UNDETERMINED * h_0 * h_1
+                determined = det > UNDETERMINED * h_0 * h_1
                 gain = (g_0 * g_0 * h_1 - 2 * g_0 * g_1 * h_01 + g_1 * g_1 * h_0) / det
-                score[m] = rest - gain if known else -math.inf
+                score[m] = rest - gain if determined else -math.inf
         else:
             for m in range(score.shape[0]):
                 score[m] = -math.inf
 
     def start(grid, sums, linear, lower, upper, score, solved, g, step, trial, state):
-        """Put the best point of the grid that was not followed yet into `trial`; False if none."""
+        """Put the best point of the grid that is not yet tried into `trial`; False if none."""
         while True:
             best = 0
             for m in range(1, score.shape[0]):
@@ -213,19 +212,19 @@ def small_fits_of(
         return chi2
 
     def _in_box(m, sums, linear, lower, upper, g, step):
-        """One amplitude after the other, again and again: a convex problem in a box."""
+        """Coordinate descent in the amplitudes: a convex problem in a box."""
         n_a = linear.shape[0]
         for i in range(n_a):
             step[i] = _clipped(0.0, lower[linear[i]], upper[linear[i]])
         for _ in range(SWEEPS):
             moved = 0.0
             for i in range(n_a):
-                own = sums[2 + i, 2 + i, m]
-                if own > 0.0:
-                    a = g[i] + own * step[i]
+                curvature = sums[2 + i, 2 + i, m]
+                if curvature > 0.0:
+                    a = g[i] + curvature * step[i]
                     for j in range(n_a):
                         a -= sums[2 + i, 2 + j, m] * step[j]
-                    a = _clipped(a / own, lower[linear[i]], upper[linear[i]])
+                    a = _clipped(a / curvature, lower[linear[i]], upper[linear[i]])
                     moved += abs(a - step[i])
                     step[i] = a
             if moved < 1e-6:
@@ -255,7 +254,7 @@ def small_fits_of(
         free,
         state,
     ):
-        """Judge the model at `trial`, of which the columns tell; the next trial."""
+        """Accept or refuse `trial` by the model's columns there; put in the next trial."""
         new = _normal_equations(y, iv, trial, log, columns, work, rows, square)
         first = state[STEP] == 0.0
         state[STEP] += 1.0
@@ -309,9 +308,9 @@ def small_fits_of(
     def _solved(h, g, free, damping, root, step):
         """(H + damping diag H) step = g on the free parameters; the decrease of chi2 at damping 0.
 
-        The triangle of Cholesky stands in `root`, with the reciprocals of its diagonal on the
-        diagonal; there is 0 for a parameter about which the data say nothing that those before it
-        do not say, and it has no step.
+        `root` holds the triangle of Cholesky with the reciprocals of its diagonal on the diagonal.
+        The entry is 0, without a step, for a parameter that the data do not determine beside those
+        before it.
         """
         decrease = 0.0
         for i in range(n_p):
@@ -324,9 +323,9 @@ def small_fits_of(
             pivot = h[i, i] * (1 + damping)
             for k in range(i):
                 pivot -= root[i, k] * root[i, k]
-            known = free[i] and pivot > UNDETERMINED * h[i, i] and h[i, i] > 0.0
-            root[i, i] = 1.0 / math.sqrt(pivot) if known else 0.0
-            if known:
+            determined = free[i] and pivot > UNDETERMINED * h[i, i] and h[i, i] > 0.0
+            root[i, i] = 1.0 / math.sqrt(pivot) if determined else 0.0
+            if determined:
                 total = g[i]
                 for k in range(i):
                     total -= root[i, k] * step[k]
@@ -345,10 +344,10 @@ def small_fits_of(
             a = p[j] * math.exp(_clipped(step[j], -1.0, 1.0)) if log[j] else p[j] + step[j]
             trial[j] = _clipped(a, lower[j], upper[j])
 
-    def keep(found, p, h, lower, upper, best, h_best, state):
-        """Keep the deeper minimum; whether it is one and lies inside the bounds."""
+    def keep(outcome, p, h, lower, upper, best, h_best, state):
+        """Keep the deeper minimum; return whether it is one and lies inside the bounds."""
         chi2 = state[CHI2]
-        verified = found == CONVERGED
+        verified = outcome == CONVERGED
         deeper = chi2 < state[BEST] * (1 - 1e-9)
         as_deep = chi2 <= state[BEST] * (1 + 1e-9)
         inside = verified
@@ -363,21 +362,23 @@ def small_fits_of(
                     h_best[i, j] = h[i, j]
         return inside
 
-    def judge(p, h, lower, upper, log, known_noise, free, root, step, state, stderr, known, bound):
-        """Standard uncertainties at p; none on a bound, nor of what the data do not determine."""
+    def judge(
+        p, h, lower, upper, log, noise_known, free, root, step, state, stderr, determined, bound
+    ):
+        """Standard uncertainties at p; none at a bound or where the data do not determine p."""
         n_free = 0
         for j in range(n_p):
             bound[j] = -1 if p[j] <= lower[j] else (1 if p[j] >= upper[j] else 0)
             free[j] = bound[j] == 0
-            known[j] = free[j] and state[VERIFIED] > 0.0
+            determined[j] = free[j] and state[VERIFIED] > 0.0
             n_free += free[j]
         noise = state[BEST] / (state[COUNT] - n_free)
-        if known_noise and noise < 1.0:
+        if noise_known and noise < 1.0:
             noise = 1.0
         _solved(h, step, free, 0.0, root, step)
         for i in range(n_p):
             if free[i] and root[i, i] == 0.0:
-                _unknown_direction(root, h, i, step, known)
+                _unknown_direction(root, h, i, step, determined)
         for j in range(n_p):
             # Column j of the inverse of the triangle; its length is the root of the covariance.
             variance = 0.0
@@ -388,12 +389,12 @@ def small_fits_of(
                 step[i] = total * root[i, i]
                 variance += step[i] * step[i]
             u = math.sqrt(noise * variance) * (p[j] if log[j] else 1.0)
-            known[j] = known[j] and u < upper[j] - lower[j]
+            determined[j] = determined[j] and u < upper[j] - lower[j]
             stderr[j] = u
 
-    def _unknown_direction(root, h, i, step, known):
-        """The parameters that take part in a direction without information are not known."""
-        known[i] = False
+    def _unknown_direction(root, h, i, step, determined):
+        """Mark the parameters in a direction without information as not determined."""
+        determined[i] = False
         if not h[i, i] > 0.0:
             return
         # The null vector has 1 at i and solves the triangle above it.
@@ -405,11 +406,11 @@ def small_fits_of(
                     total -= root[k, j] * step[k]
                 step[j] = total * root[j, j]
                 if abs(step[j]) * math.sqrt(h[j, j]) > 1e-3 * math.sqrt(h[i, i]):
-                    known[j] = False
+                    determined[j] = False
 
     def may_be_none(j, p, lower, stderr, bound, trial):
-        """Whether amplitude j may as well be at its bound; `trial` is then p with it there."""
-        if bound[j] != 0 or (p[j] - lower[j]) ** 2 > TOLD_APART * stderr[j] ** 2:
+        """Whether the data allow amplitude j at its bound; `trial` is then p with it there."""
+        if bound[j] != 0 or (p[j] - lower[j]) ** 2 > DISTINCT * stderr[j] ** 2:
             return False
         for i in range(n_p):
             trial[i] = p[i]
@@ -417,18 +418,18 @@ def small_fits_of(
         return True
 
     @any_order
-    def forget(iv, columns, known):
-        """Parameters without a derivative do not mean anything."""
-        for j in range(known.shape[0]):
+    def forget(iv, columns, determined):
+        """Mark the parameters without a derivative as not determined."""
+        for j in range(determined.shape[0]):
             total = 0.0
             for k in range(iv.shape[0]):
                 total += iv[k] * columns[1 + j, k] * columns[1 + j, k]
-            known[j] = known[j] and total > 0.0
+            determined[j] = determined[j] and total > 0.0
 
     return SmallFits(
         prepare=prepare,
         split_basis=split_basis,
-        alike=alike,
+        constant_rows=constant_rows,
         project=project,
         spread=spread,
         scores=scores,

@@ -1,8 +1,8 @@
-"""Source and identity of plain functions: what a compiled kernel depends on.
+"""Source and identity of Python functions, on which a compiled kernel depends.
 
-Source is read where Python can tell it: files, cells of a notebook, and whatever else stands in
-`linecache`. A function typed at a prompt or passed to `python -c` has none; its bytecode then
-stands for it.
+Source is read where Python has it: files, cells of a notebook, and whatever else `linecache`
+holds. A function typed at a prompt or passed to `python -c` has none; its bytecode is
+used then.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from gonio.errors import ConfigurationError
 
 
 def plain(function: Callable[..., Any]) -> FunctionType:
-    """The Python function that decorators stand around.
+    """The Python function inside its decorators.
 
     Raises
     ------
     ConfigurationError
         If it is no Python function.
     """
-    found = inspect.unwrap(getattr(function, "py_func", function))
-    if not isinstance(found, FunctionType):
+    unwrapped = inspect.unwrap(getattr(function, "py_func", function))
+    if not isinstance(unwrapped, FunctionType):
         raise ConfigurationError(
             f"the kernel {function!r} is no plain Python function; write it with def, of scalars "
             "and math, or give a function of arrays to Model.from_function.",
             value=function,
         )
-    return found
+    return unwrapped
 
 
 def definition(function: FunctionType) -> ast.FunctionDef | None:
@@ -53,23 +53,23 @@ def definition(function: FunctionType) -> ast.FunctionDef | None:
 
 def bound_names(function: FunctionType) -> dict[str, Any]:
     """The objects that the code of a function takes by name from its module or from a closure."""
-    found = {
+    globals_ = {
         name: function.__globals__[name]
         for name in function.__code__.co_names
         if name in function.__globals__
     }
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    return found | {name: cell.cell_contents for name, cell in cells}
+    return globals_ | {name: cell.cell_contents for name, cell in cells}
 
 
 def reached(function: Callable[..., Any]) -> list[FunctionType]:
-    """The function and all Python functions that it calls by name, directly or not."""
-    found = [plain(function)]
-    for caller in found:
+    """The function and all Python functions that it calls by name, directly or indirectly."""
+    functions = [plain(function)]
+    for caller in functions:
         for callee in bound_names(caller).values():
-            if is_python(callee) and plain(callee) not in found:
-                found.append(plain(callee))
-    return found
+            if is_python(callee) and plain(callee) not in functions:
+                functions.append(plain(callee))
+    return functions
 
 
 def is_python(value: object) -> bool:
@@ -80,7 +80,7 @@ def is_python(value: object) -> bool:
 
 
 def importable(function: FunctionType) -> bool:
-    """Whether the function lives in the file of an imported module, which a hash can be made of."""
+    """Whether the function lives in the file of an imported module, which can be hashed."""
     name = function.__module__
     return name != "__main__" and file_of(function) is not None
 
@@ -96,10 +96,10 @@ def file_of(function: FunctionType) -> Path | None:
 
 
 def ingredients(functions: list[FunctionType]) -> tuple[list[str], bool]:
-    """What the code of functions depends on, and whether that is all.
+    """Texts on which the code of functions depends, and whether they are complete.
 
-    Files are read whole. Of functions that live in none it is their source, or their bytecode, and
-    the constants that they use.
+    A file is read whole. A function without a file gives its source, or its bytecode, and the
+    constants that it uses.
     """
     files = sorted({file_of(f) for f in functions if importable(f)} - {None})  # type: ignore[type-var]
     read = [path.read_text(encoding="utf-8") for path in files]  # type: ignore[union-attr]
@@ -129,7 +129,7 @@ def _bytecode(code: CodeType) -> Iterator[str]:
 
 
 def _constant(value: object) -> str | None:
-    """A text that is another one for another value; None if there is none."""
+    """A text that differs between values; None for a value without one."""
     if isinstance(value, ModuleType):
         return value.__name__
     if is_python(value):

@@ -1,10 +1,10 @@
-"""A kernel in two: what the directions alone say, and what the parameters make of it.
+"""A kernel in two parts: one of the directions alone, one of the parameters and its results.
 
 Loops that evaluate a model at the same directions again and again, for a grid of starts, a batch of
 walkers or the steps of a small fit, compute square roots and angles of directions once. The split
 is made from the kernel's source: a statement that holds no parameter goes into the first part, and
-so does the largest such term of any other statement. The numbers are those of the kernel to the
-last bit, for the same operations are done on the same numbers.
+so does the largest such term of any other statement. The results are those of the kernel to the
+last bit, because the same operations act on the same numbers.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from typing import Any
 from gonio.kernels.sources import definition, plain
 
 DIRECTIONS = 6  # leading arguments of a kernel
-MOST = 8  # numbers of a pair of directions that are worth keeping
+MOST = 8  # largest count of numbers to keep for a pair of directions
 
 
 @dataclass(frozen=True)
 class Split:
-    """Two functions that are a kernel together.
+    """Two functions that together are a kernel.
 
     Parameters
     ----------
     geometry : callable
         Of the six direction cosines; returns a tuple of `n` numbers.
     shape : callable
-        Of these numbers and the parameters; returns what the kernel does.
+        Of these numbers and the parameters; returns the kernel's result.
     n : int
     """
 
@@ -46,7 +46,7 @@ def split(kernel: Callable[..., Any]) -> Split:
     ----------
     kernel : callable
         Plain scalar Python. One that is more than assignments and a return, or whose source cannot
-        be read, stays whole: the first part then hands on the directions.
+        be read, stays whole: the first part then returns the directions.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def split(kernel: Callable[..., Any]) -> Split:
 
 
 def _whole(function: FunctionType) -> Split:
-    """A kernel that stays whole: the first part hands on the directions."""
+    """A kernel that stays whole: the first part returns the directions."""
     names = list(function.__code__.co_varnames[:DIRECTIONS])
     whole = _Parts(names, [])
     whole.kept = names
@@ -95,7 +95,7 @@ class _Parts(ast.NodeTransformer):
         self.kept: list[str] = []
 
     def add(self, statement: ast.stmt) -> bool:
-        """Sort a statement in; False where it is of a kind that cannot be."""
+        """Add a statement to its part; False for a kind of statement that cannot be split."""
         match statement:
             case ast.Assign(targets=[ast.Name() | ast.Tuple() as target], value=value):
                 self._bind(target, self._renamed(value))
@@ -133,7 +133,7 @@ class _Parts(ast.NodeTransformer):
         return self._locals(node) <= self.fixed
 
     def visit(self, node: ast.AST) -> Any:
-        """An expression with parameters, with terms that have none replaced by what is kept."""
+        """An expression with parameters, in which kept numbers replace terms without them."""
         if isinstance(node, ast.expr) and self._locals(node) and self._is_fixed(node):
             if isinstance(node, ast.Name):
                 name = node.id
@@ -148,8 +148,8 @@ class _Parts(ast.NodeTransformer):
 
     def geometry(self) -> ast.FunctionDef:
         """The first part."""
-        kept: list[ast.expr] = [ast.Name(name, ast.Load()) for name in self.kept]
-        result = ast.Return(ast.Tuple(kept, ast.Load()))
+        elements: list[ast.expr] = [ast.Name(name, ast.Load()) for name in self.kept]
+        result = ast.Return(ast.Tuple(elements, ast.Load()))
         return _definition("geometry", self.directions, [*self.first, result])
 
     def shape(self) -> ast.FunctionDef:
@@ -166,13 +166,13 @@ def _definition(name: str, arguments: list[str], body: list[ast.stmt]) -> ast.Fu
 
 
 def _function(definition: ast.FunctionDef, source: FunctionType, name: str) -> FunctionType:
-    """The function that a definition means in the module of another one."""
+    """The function that a definition gives in the module of another function."""
     module = ast.fix_missing_locations(ast.Module([definition], []))
     names = dict(source.__globals__)
     exec(compile(module, f"<{name} of {source.__qualname__}>", "exec"), names)
-    made = names[name]
-    assert isinstance(made, FunctionType)
-    return made
+    result = names[name]
+    assert isinstance(result, FunctionType)
+    return result
 
 
 def _example(

@@ -1,4 +1,4 @@
-"""Weighted sums of products over a block of samples: what the loops of all models share.
+"""Weighted sums of products over a block of samples, for the loops of all models.
 
 Imported only where loops are compiled; it needs numba.
 """
@@ -47,7 +47,7 @@ products = {n: getattr(_module, f"products_{n}") for n in _FUSED}  # compiled wh
 def dispatch(sizes: tuple[int, ...]) -> str:
     """Text of an `add_products` that makes the sums of these numbers of rows in one pass.
 
-    Every number costs compilation; others are left to the plain `add_products`, as `any_products`.
+    Every number costs compilation; the general `add_products`, as `any_products`, does the others.
     """
     chosen = sorted(set(sizes) & set(_FUSED))
     lines = ["from gonio.kernels.sums import add_products as any_products, products", ""]

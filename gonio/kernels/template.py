@@ -20,7 +20,7 @@ behind the text that defines the template's parameters for one model. Nothing is
    the template's module as are numbers or modules.
 4. Its only decorator may be `any_order`: its sums may be taken in any order, as SIMD code does.
 
-Whatever breaks a rule is refused by a sentence that names the template and the rule.
+A template that breaks a rule is refused; the message names the template and the rule.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def any_order(function: Function) -> Function:
 
 @dataclass(frozen=True)
 class Template:
-    """A template that keeps the rules, read once.
+    """A template that follows the rules, read once.
 
     Parameters
     ----------
@@ -86,9 +86,11 @@ class Template:
         """The lines that define what the functions take from the template's module."""
         return "\n".join(self.constants.values())
 
-    def broken(self, rule: int, what: str) -> ValueError:
+    def broken(self, rule: int, problem: str) -> ValueError:
         """The error of a template that breaks a rule."""
-        return ValueError(f"template {self.name}: {what}; rule {rule} of gonio.kernels.template.")
+        return ValueError(
+            f"template {self.name}: {problem}; rule {rule} of gonio.kernels.template."
+        )
 
 
 def module_text(*pieces: str | Callable[..., Any]) -> str:
@@ -121,7 +123,7 @@ def module_text(*pieces: str | Callable[..., Any]) -> str:
 
 @cache
 def read(template: Callable[..., Any]) -> Template:
-    """Read a template and hold it to the rules.
+    """Read a template and check the rules.
 
     Raises
     ------
@@ -133,21 +135,21 @@ def read(template: Callable[..., Any]) -> Template:
     (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.FunctionDef)
     parameters = tuple(a.arg for a in [*definition.args.args, *definition.args.kwonlyargs])
-    found = Template(
+    bare = Template(
         f"{template.__module__}.{template.__name__}",
         parameters,
         MappingProxyType({}),
         frozenset(),
         MappingProxyType({}),
     )
-    inner = list(_inner(definition, found))
-    marked = {node.name for node in inner if _marked(node, found)}
+    inner = list(_inner(definition, bare))
+    marked = {node.name for node in inner if _marked(node, bare)}
     return Template(
-        found.name,
+        bare.name,
         parameters,
         {node.name: _lines(source, node) for node in inner},
         frozenset(marked),
-        dict(_constants(template, found)),
+        dict(_constants(template, bare)),
     )
 
 
@@ -168,7 +170,7 @@ def _inner(definition: ast.FunctionDef, template: Template) -> Iterator[ast.Func
 
 
 def _marked(node: ast.FunctionDef, template: Template) -> bool:
-    """Whether an inner function bears the one decorator that it may bear."""
+    """Whether an inner function has the one decorator that is allowed."""
     names = [ast.unparse(decorator) for decorator in node.decorator_list]
     if names not in ([], [any_order.__name__]):
         raise template.broken(4, f"{node.name} is decorated by {', '.join(names)}")
@@ -182,7 +184,7 @@ def _lines(source: str, node: ast.FunctionDef) -> str:
 
 
 def _constants(template: FunctionType, found: Template) -> Iterator[tuple[str, str]]:
-    """What the inner functions take from the module of the template."""
+    """Names that the inner functions take from the module of the template, and their lines."""
     for name in sorted({name for code in _codes(template.__code__) for name in _globals(code)}):
         value = template.__globals__.get(name)
         if isinstance(value, ModuleType):
@@ -224,7 +226,7 @@ STEP = 0.5
 
 
 def _example(n_p: int) -> SimpleNamespace:
-    """Stands in the example of `module_text`."""
+    """The example of `module_text`."""
 
     def shifted(x):  # type: ignore[no-untyped-def]
         return x + n_p * STEP

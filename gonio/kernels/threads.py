@@ -11,9 +11,9 @@ BLOCK = 8192
 
 def default_threads() -> int:
     """Threads to use: `GONIO_THREADS` where set, else the cores this process may run on."""
-    given = os.environ.get("GONIO_THREADS", "")
-    if given.isdigit() and int(given) > 0:
-        return int(given)
+    setting = os.environ.get("GONIO_THREADS", "")
+    if setting.isdigit() and int(setting) > 0:
+        return int(setting)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -24,7 +24,7 @@ def pair_block(n: int, threads: int, *, costly: bool = False) -> int:
 
     All of them for one thread; for several a few blocks each, of which none is so small that
     starting threads takes longer than the work. A model that is `costly` takes 1000 times longer:
-    small blocks share it out evenly, and between them an interrupt is heard.
+    small blocks balance the work, and an interrupt takes effect between them.
 
     Examples
     --------
@@ -52,9 +52,9 @@ def map_blocks(
 
     Examples
     --------
-    >>> seen = []
-    >>> map_blocks(lambda a, b: seen.append((a, b)), 5, threads=1, block=2)
-    >>> seen
+    >>> blocks = []
+    >>> map_blocks(lambda a, b: blocks.append((a, b)), 5, threads=1, block=2)
+    >>> blocks
     [(0, 2), (2, 4), (4, 5)]
     """
     bounds = [(start, min(start + block, n)) for start in range(0, n, block)]

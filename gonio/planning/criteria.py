@@ -1,4 +1,4 @@
-"""Criteria of optimal design: one number that a plan of images makes small.
+"""Criteria of optimal design: one number of a plan, which the search makes small.
 
 References
 ----------
@@ -21,19 +21,19 @@ Criterion = Callable[[Expected], float]
 
 
 def c_optimality(targets: FloatArray) -> Criterion:
-    """C-optimality: ln sum (u/target)^2 over the parameters that are wanted.
+    """C-optimality: ln sum (u/target)^2 over the parameters that have a target.
 
     Parameters
     ----------
     targets : ndarray, shape (P,)
-        Wanted standard uncertainties; NaN where a parameter is not asked for.
+        Standard uncertainties to reach; NaN for a parameter without a target.
     """
-    wanted = np.flatnonzero(np.isfinite(targets))
+    index = np.flatnonzero(np.isfinite(targets))
 
     def criterion(expected: Expected) -> float:
-        known = wanted[expected.determined[wanted]]
-        total = float(np.sum((expected.u[known] / targets[known]) ** 2))
-        missing = len(wanted) - len(known)
+        estimated = index[expected.determined[index]]
+        total = float(np.sum((expected.u[estimated] / targets[estimated]) ** 2))
+        missing = len(index) - len(estimated)
         return (np.log(total) if total > 0 else 0.0) + _MISSING * missing
 
     return criterion
@@ -45,13 +45,13 @@ def d_optimality(determined: NDArray[np.bool_]) -> Criterion:
     Parameters
     ----------
     determined : ndarray of bool, shape (P,)
-        Parameters of which some image says something.
+        Parameters that some candidate image determines.
     """
-    wanted = np.flatnonzero(determined)
+    index = np.flatnonzero(determined)
 
     def criterion(expected: Expected) -> float:
-        found = wanted[expected.determined[wanted]]
-        u = np.maximum(expected.u[found], 1e-300)
-        return float(np.sum(np.log(u))) + _MISSING * (len(wanted) - len(found))
+        estimated = index[expected.determined[index]]
+        u = np.maximum(expected.u[estimated], 1e-300)
+        return float(np.sum(np.log(u))) + _MISSING * (len(index) - len(estimated))
 
     return criterion

@@ -1,4 +1,4 @@
-"""Slope errors of domes that are drawn by chance, in place of the reduction's few patterns."""
+"""Slope errors of random domes, which replace the few patterns of the reduction."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from gonio.instrument import Instrument
 from gonio.instrument.imaging import trace_rays
 from gonio.samples import BRDFSamples
 
-N_DOMES = 32  # their scatter is known to 1/sqrt(2 32) = 12 %
+N_DOMES = 32  # which gives their scatter to 1/sqrt(2 32) = 12 %
 
 
 @dataclass(frozen=True)
 class DrawnDomes:
     """Slope errors of `N_DOMES` drawn domes: by how much each turns the directions of pixels.
 
-    The reduction knows a size and a correlation length, and makes a few patterns of them: enough
-    for a plan that somebody made, not for one that was made to be blind to these very patterns.
+    The reduction makes a few patterns from the size and the correlation length of the errors.
+    They suffice for a plan made by a person, but a search could find a plan that is insensitive
+    to just these patterns.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class DrawnDomes:
 
     @classmethod
     def draw(cls, instrument: Instrument, first: int) -> DrawnDomes:
-        """Domes of the seeds from `first` on; none where the instrument's has no slope errors."""
+        """Domes of the seeds from `first` on; none for an instrument without slope errors."""
         chief = instrument.model_copy(update={"rays_per_pixel": 1})
         none = {"slope_error_deg": 0.0, "rim_slope_error_deg": 0.0}
         smooth = chief.model_copy(update={"dome": chief.dome.model_copy(update=none)})
@@ -44,7 +45,7 @@ class DrawnDomes:
             return cls(w_r, [])
         return cls(w_r, [trace_rays(chief, first + k).w_r[:, 0] - w_r for k in range(N_DOMES)])
 
-    def in_place_of_slope_terms(self, samples: BRDFSamples) -> BRDFSamples:
+    def replace_slope_terms(self, samples: BRDFSamples) -> BRDFSamples:
         """The samples with these domes in place of the reduction's terms for slope errors.
 
         The domes are shared terms of one name, each with the weight 1/sqrt(N_DOMES).

@@ -12,7 +12,7 @@ from gonio.planning.information import Candidates, Design, Expected
 
 MAX_REPEATS = 4  # takes of each background and standard that are considered
 _EXCHANGE = 1e-3  # by which the criterion must fall for an exchange
-_LEAST_GAIN = 0.02  # of what averaging alone would bring, below which images are not worth it
+_LEAST_GAIN = 0.02  # smallest gain worth an image, as a share of the gain by averaging alone
 
 
 def choose(
@@ -24,10 +24,11 @@ def choose(
 ) -> Design:
     """Few images with a small criterion: greedy choice with exchange.
 
-    From the best single image on, what lowers the criterion most for each image that it costs is
-    taken: an incidence, a rotation at every incidence, or another take of every background and
-    standard. After each, angles are exchanged for others while that helps. The search ends where
-    `reached` says so, at the budget, or where nothing helps; then what is not needed is dropped.
+    The search starts at the best single image. Each step adds an incidence, a rotation at every
+    incidence, or another take of every background and standard: the one that lowers the criterion
+    most for each image that it costs. After each step angles are exchanged for others while that
+    lowers the criterion. The search ends where `reached` is true, at the budget, or where no step
+    helps. Then it drops the images that are not needed.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def choose(
     budget : int, optional
         Images of sample, standard and background together, at least 3.
     reached : callable, optional
-        Whether what is expected is good enough; never, where not given.
+        Whether the expected uncertainties are small enough; never, where not given.
     """
     limit = np.inf if budget is None else budget
 
@@ -89,23 +90,23 @@ def _exchanged(design: Design, whole: Design, value: Callable[[Design], float]) 
     """The design with each of its angles in turn replaced by the best one."""
     for i in design.incidences:
         swapped = _swapped(design.incidences, i, whole.incidences)
-        design = _better([replace(design, incidences=found) for found in swapped], design, value)
+        design = _better([replace(design, incidences=angles) for angles in swapped], design, value)
     for r in design.rotations:
         swapped = _swapped(design.rotations, r, whole.rotations)
-        design = _better([replace(design, rotations=found) for found in swapped], design, value)
+        design = _better([replace(design, rotations=angles) for angles in swapped], design, value)
     return design
 
 
 def _swapped(chosen: tuple[int, ...], old: int, whole: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The numbers with another one in the place of `old`.
+    """The numbers with another one in place of `old`.
 
     Examples
     --------
     >>> _swapped((0, 2), 2, (0, 1, 2, 3))
     [(0, 1), (0, 3)]
     """
-    kept = set(chosen) - {old}
-    return [tuple(sorted({*kept, new})) for new in whole if new not in chosen]
+    others = set(chosen) - {old}
+    return [tuple(sorted({*others, new})) for new in whole if new not in chosen]
 
 
 def _better(others: list[Design], design: Design, value: Callable[[Design], float]) -> Design:

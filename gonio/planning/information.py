@@ -1,16 +1,17 @@
-"""Fisher information of candidate images: what a fit to any choice of them will state.
+"""Fisher information of candidate images, and the uncertainties of a fit to a choice of them.
 
-Every candidate image is known by its samples as a measurement would deliver them: directions,
-cells, variances and the errors that they share. From these follow, for any choice of images,
+Every candidate image has the samples that a measurement would deliver: directions, cells,
+variances and shared errors. From these follow, for any choice of images,
 
-- what a fit will state: parameters by weighted least squares over the independent errors, shared
-  errors carried through linearly (`gonio.fitting.uncertainty`): H^-1 + sum_g m_g m_g^T with
+- the uncertainties that a fit will state: weighted least squares over the independent errors,
+  shared errors propagated linearly (`gonio.fitting.uncertainty`): H^-1 + sum_g m_g m_g^T with
   H = J^T W J and m_g = H^-1 J^T W u_g for every draw g of a shared error u;
-- the information that an estimator could use which knows the shared errors' sizes: they are
-  unknowns with unit prior, marginalised by a Schur complement. Its inverse bounds the first from
-  below (Cramer and Rao).
+- the information of an estimator that knows the sizes of the shared errors: these are unknowns
+  with a unit prior, marginalised by a Schur complement. Its inverse is a lower bound of the first
+  (Cramer and Rao).
 
-With 1e5 pixels an image, counts decide next to nothing and the lamp and the standard nearly all.
+With 1e5 pixels an image the noise of the counts is nearly nothing; the lamp and the standard
+dominate.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class Expected:
     Parameters
     ----------
     u : ndarray, shape (P,)
-        In the unit of Python; infinite where the images say nothing of the parameter.
+        In the unit of Python; infinite where the images do not determine the parameter.
     components : mapping of str to ndarray, shape (P,)
         The same by source.
     determined : ndarray of bool, shape (P,)
@@ -76,7 +77,7 @@ class Expected:
     components: dict[str, FloatArray]
     determined: NDArray[np.bool_]
 
-    def limit(self, j: int) -> tuple[str, float]:
+    def largest_source(self, j: int) -> tuple[str, float]:
         """The largest source of parameter j and its standard uncertainty."""
         name = max(self.components, key=lambda source: float(self.components[source][j]))
         return name, float(self.components[name][j])
@@ -87,13 +88,13 @@ class _Image:
     """Derivatives (cells, P), changes by shared errors (cells, T), and variances of an image."""
 
     columns: FloatArray  # (cells, P + T)
-    own: FloatArray
+    independent: FloatArray
     reference: FloatArray
     groups: tuple[int, ...]  # which draw of each shared error is in the image
 
 
 class Candidates:
-    """Images that could be taken, with what each says of the parameters.
+    """Candidate images, with the information on the parameters that each gives.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ class Candidates:
         background and standard. Shared errors with `averages` become smaller with more takes.
     model : Model
     p : ndarray, shape (P,)
-        Parameters about which the plan is made.
+        Values of the parameters at which the information is computed.
     n_incidences, n_rotations : int
     threads : int, optional
         The result does not depend on it.
@@ -125,7 +126,7 @@ class Candidates:
         self.n_incidences, self.n_rotations = n_incidences, n_rotations
         self.terms = tuple(term.name for term in samples.shared)
         self._averaged = np.array([bool(term.averages) for term in samples.shared], dtype=bool)
-        # Counting the reference twice tells it apart.
+        # The reference counted twice separates its variance from the rest.
         problem: Problem = SingleProblem.from_samples(
             replace(samples, reference_sharing=2), model, "sd", threads
         )
@@ -142,21 +143,21 @@ class Candidates:
         groups = [_compact(term, len(samples)) for term in samples.shared]
         self._images: dict[int, _Image] = {}
         for k in range(n_incidences * n_rotations):
-            own = np.flatnonzero(samples.image == k)
-            if len(own):
+            rows = np.flatnonzero(samples.image == k)
+            if len(rows):
                 self._images[k] = _Image(
-                    columns[own],
-                    (once - reference)[own],
-                    reference[own],
-                    tuple(int(group[own[0]]) for group in groups),
+                    columns[rows],
+                    (once - reference)[rows],
+                    reference[rows],
+                    tuple(int(group[rows[0]]) for group in groups),
                 )
-        self._place = {k: n for n, k in enumerate(self._images)}
+        self._position = {k: n for n, k in enumerate(self._images)}
         self._groups = np.array(
             [image.groups for image in self._images.values()], dtype=np.int64
         ).reshape(len(self._images), len(self.terms))
         self._grouped = set(np.flatnonzero(self._groups.any(axis=0)).tolist())
-        self._made: dict[tuple[int, float], FloatArray] = {}
-        self._made_rows: dict[float, FloatArray] = {}
+        self._matrices: dict[tuple[int, float], FloatArray] = {}
+        self._parameter_rows: dict[float, FloatArray] = {}
 
     @property
     def everything(self) -> Design:
@@ -164,7 +165,7 @@ class Candidates:
         return Design(tuple(range(self.n_incidences)), tuple(range(self.n_rotations)))
 
     def expected(self, design: Design) -> Expected:
-        """What a fit to these images will state."""
+        """Uncertainties that a fit to these images will state."""
         return self._expected(self._numbers(design), design)
 
     def information(self, design: Design) -> FloatArray:
@@ -180,28 +181,28 @@ class Candidates:
         return _standard(self.information(design))
 
     def helps_most(self, design: Design) -> list[tuple[int, int, float] | None]:
-        """For each parameter the image that a fit would miss most.
+        """For each parameter the image without which its uncertainty grows most.
 
         Returns
         -------
         list of (incidence, rotation, growth), or None
             Numbers of the image, and the factor by which `Expected.u` grows without it; None
-            where the design says nothing of the parameter.
+            where the design does not determine the parameter.
         """
         numbers = self._numbers(design)
         whole = self._expected(numbers, design).u
         without = np.array(
             [self._expected([n for n in numbers if n != k], design).u for k in numbers]
         ).reshape(len(numbers), len(self.p))
-        found: list[tuple[int, int, float] | None] = []
+        most_helpful: list[tuple[int, int, float] | None] = []
         for j, u in enumerate(whole):
             if not np.isfinite(u):
-                found.append(None)
+                most_helpful.append(None)
                 continue
             best = int(np.argmax(without[:, j]))
             incidence, rotation = divmod(numbers[best], self.n_rotations)
-            found.append((incidence, rotation, float(without[best, j] / u)))
-        return found
+            most_helpful.append((incidence, rotation, float(without[best, j] / u)))
+        return most_helpful
 
     def _numbers(self, design: Design) -> list[int]:
         """Images of a design that have samples."""
@@ -210,22 +211,22 @@ class Candidates:
 
     def _matrix(self, k: int, design: Design) -> FloatArray:
         """X^T W X of an image, with X = [J, shared errors], (P + T, P + T)."""
-        # As many images share a standard as there are rotations; a fit counts its noise so often.
+        # All rotations share a standard; a fit counts its noise once for each of them.
         sharing = len(design.rotations) / design.repeats
-        if (k, sharing) not in self._made:
+        if (k, sharing) not in self._matrices:
             image = self._images[k]
-            weight = 1 / (image.own + sharing * image.reference)
-            self._made[k, sharing] = image.columns.T @ (image.columns * weight[:, None])
-        return self._made[k, sharing]
+            weight = 1 / (image.independent + sharing * image.reference)
+            self._matrices[k, sharing] = image.columns.T @ (image.columns * weight[:, None])
+        return self._matrices[k, sharing]
 
     def _rows(self, design: Design) -> FloatArray:
         """The rows of `_matrix` that belong to parameters, of every image, (images, P, P + T)."""
         sharing = len(design.rotations) / design.repeats
-        if sharing not in self._made_rows:
+        if sharing not in self._parameter_rows:
             n_p = len(self.p)
             rows = [self._matrix(k, design)[:n_p] for k in self._images]
-            self._made_rows[sharing] = np.array(rows).reshape(len(rows), n_p, -1)
-        return self._made_rows[sharing]
+            self._parameter_rows[sharing] = np.array(rows).reshape(len(rows), n_p, -1)
+        return self._parameter_rows[sharing]
 
     def _scale(self, design: Design) -> FloatArray:
         """Factor on every shared error (T,) by the takes over which it is averaged."""
@@ -234,20 +235,20 @@ class Candidates:
     def _expected(self, numbers: list[int], design: Design) -> Expected:
         n_p = len(self.p)
         # J^T W [J, u] of every image.
-        made = self._rows(design)[[self._place[k] for k in numbers]]
-        summed = made.sum(axis=0)
+        rows = self._rows(design)[[self._position[k] for k in numbers]]
+        summed = rows.sum(axis=0)
         inverse, determined = _inverse(summed[:, :n_p])
         variances = {"independent": np.diag(inverse)}
         scale = self._scale(design)
-        alike = (inverse @ summed[:, n_p:] * scale) ** 2
+        common = (inverse @ summed[:, n_p:] * scale) ** 2
         for t, name in enumerate(self.terms):
-            found = alike[:, t]
+            variance = common[:, t]
             if t in self._grouped:
-                groups = self._groups[[self._place[k] for k in numbers], t]
+                groups = self._groups[[self._position[k] for k in numbers], t]
                 pull = np.zeros((groups.max(initial=0) + 1, n_p))
-                np.add.at(pull, groups, made[:, :, n_p + t] * scale[t])
-                found = np.sum((pull @ inverse) ** 2, axis=0)
-            variances[name] = variances.get(name, 0.0) + found
+                np.add.at(pull, groups, rows[:, :, n_p + t] * scale[t])
+                variance = np.sum((pull @ inverse) ** 2, axis=0)
+            variances[name] = variances.get(name, 0.0) + variance
         total = np.sum(list(variances.values()), axis=0)
         return Expected(
             np.where(determined, np.sqrt(total), np.inf),
@@ -259,13 +260,13 @@ class Candidates:
         n_p = len(self.p)
         scale = np.concatenate([np.ones(n_p), self._scale(design)])
         draws = {d for k in numbers for d in enumerate(self._images[k].groups)}
-        place = {draw: n_p + z for z, draw in enumerate(sorted(draws))}
-        joint = np.zeros((n_p + len(place),) * 2)
+        column = {draw: n_p + z for z, draw in enumerate(sorted(draws))}
+        joint = np.zeros((n_p + len(column),) * 2)
         for k in numbers:
-            at = [*range(n_p), *(place[draw] for draw in enumerate(self._images[k].groups))]
+            at = [*range(n_p), *(column[draw] for draw in enumerate(self._images[k].groups))]
             joint[np.ix_(at, at)] += self._matrix(k, design) * np.outer(scale, scale)
         # Each draw is an unknown of mean 0 and variance 1.
-        nuisance = joint[n_p:, n_p:] + np.eye(len(place))
+        nuisance = joint[n_p:, n_p:] + np.eye(len(column))
         cross = joint[:n_p, n_p:]
         schur = joint[:n_p, :n_p] - cross @ np.linalg.solve(nuisance, cross.T)
         return np.asarray((schur + schur.T) / 2)

@@ -35,8 +35,8 @@ from gonio.samples import BRDFSamples
 
 ROTATIONS_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)  # for models whose f depends on phi_i
 SMALLEST = 3  # images: one each of sample, standard and background
-_TRIM = 0.02  # that the criterion may grow by for exposures left out: 1 % of an uncertainty
-_COVERED = 0.995  # share of solid angle and light that must stay without them
+_TRIM = 0.02  # allowed growth of the criterion without an exposure: 1 % of an uncertainty
+_COVERED = 0.995  # share of solid angle and light that must remain without them
 
 Reached = Callable[[Expected], bool]
 
@@ -56,9 +56,9 @@ def design(
 ) -> DesignResult:
     """Choose which images to take for a wanted precision of parameters.
 
-    Incidence angles, rotations, takes of standard and background, and exposures are chosen by
-    Fisher information, the errors that images share included. The surface is taken to be exactly
-    the model with these parameters.
+    Fisher information, with the errors that images share, decides on incidence angles, rotations,
+    takes of standard and background, and exposures. The surface is taken to follow the model with
+    these parameters exactly.
 
     Parameters
     ----------
@@ -76,10 +76,11 @@ def design(
         Images of sample, standard and background together, at most; at least 3.
     fixed : mapping of str to float, optional
     tied : mapping of str to str, optional
-        Parameters that a fit will hold fixed, or give the value of another one, as `gonio.fit`
-        takes them: nothing has to be measured for them.
+        Parameters that a fit will hold fixed, or set equal to another one, as `gonio.fit` takes
+        them. The plan does not have to determine them.
     verify : int, optional
-        Simulate the plan with so many seeds, reduce, fit, and compare the scatter; at least 2.
+        Number of seeds, at least 2, with which the plan is simulated, reduced and fitted; the
+        scatter of the fits is compared with the expected uncertainties.
     threads : int, optional
         Number of worker threads; the result does not depend on it.
     progress : callable, optional
@@ -98,24 +99,26 @@ def design(
     Examples
     --------
     >>> import gonio
-    >>> rig = gonio.instrument.preset("ideal12").with_pixels(52)
-    >>> result = gonio.design("lambert", {"rho": 0.5}, instrument=rig, budget=6)
+    >>> ideal = gonio.instrument.preset("ideal12").with_pixels(52)
+    >>> result = gonio.design("lambert", {"rho": 0.5}, instrument=ideal, budget=6)
     >>> result.plan.n_images <= 6
     True
     >>> bool(result.u_relative["rho"] < 0.01)
     True
     """
     chosen = get_model(model)
-    rig = load(instrument) if isinstance(instrument, str) else instrument
-    held = Constraints.of(chosen, fixed, tied)
-    held.refuse(wanted, "wanted uncertainty")
+    instrument = load(instrument) if isinstance(instrument, str) else instrument
+    constraints = Constraints.of(chosen, fixed, tied)
+    constraints.refuse(wanted, "wanted uncertainty")
     values = {p.name: p.default for p in chosen.parameters} | dict(parameters or {})
-    values |= held.fixed
-    values |= {name: values[other] for name, other in held.tied.items()}
+    values |= constraints.fixed
+    values |= {name: values[other] for name, other in constraints.tied.items()}
     targets = checked_targets(chosen, values, wanted or {})
     _check_counts(budget, verify)
-    setup = Setup(coarse(one_channel(rig)), chosen, chosen.vector(values), threads, held)
-    result = _searched(setup, rig, values, targets, budget, progress)
+    setup = Setup(
+        coarse(one_channel(instrument)), chosen, chosen.vector(values), threads, constraints
+    )
+    result = _searched(setup, instrument, values, targets, budget, progress)
     if verify is None:
         return result
     return replace(result, verification=verify_plan(result, verify, progress=progress))
@@ -175,7 +178,7 @@ def _searched(
     budget: int | None,
     progress: StagedProgress | None,
 ) -> DesignResult:
-    """The best plan; where nothing is wanted, one as good as the default plan."""
+    """The best plan; without targets and budget, one as good as the default plan."""
     model = setup.model
     default = default_plan(setup.instrument, anisotropic=is_anisotropic(model, parameters))
     rotations = (0.0,) if model.claims.isotropic else ROTATIONS_DEG
@@ -188,19 +191,19 @@ def _searched(
     targets = np.array([wanted.get(q.name, np.nan) for q in unknowns]) * sizes
     if not wanted and budget is None:
         targets = np.where(of_default.determined, of_default.u, np.nan)
-    asked = np.isfinite(targets)
-    criterion = c_optimality(targets) if asked.any() else d_optimality(determined)
+    has_target = np.isfinite(targets)
+    criterion = c_optimality(targets) if has_target.any() else d_optimality(determined)
 
     def reached(expected: Expected) -> bool:
-        # A parameter that nobody asked for must be determined too, or the fit does not converge.
+        # A parameter without a target must be determined too, or the fit does not converge.
         converges = bool(np.all(expected.determined[determined]))
-        return converges and bool(np.all(expected.u[asked] <= targets[asked] * AS_GOOD))
+        return converges and bool(np.all(expected.u[has_target] <= targets[has_target] * AS_GOOD))
 
-    enough = reached if asked.any() else None
+    enough = reached if has_target.any() else None
     images = choose(candidates, criterion, budget=budget, reached=enough)
     full = _plan(everything, images)
-    plan, own, samples = _without_idle_exposures(setup, full, criterion, enough, progress)
-    whole = own.everything
+    plan, final, samples = _without_idle_exposures(setup, full, criterion, enough, progress)
+    whole = final.everything
     return DesignResult(
         setup=setup,
         instrument=instrument,
@@ -208,11 +211,11 @@ def _searched(
         wanted=dict(wanted),
         plan=with_channels(plan, instrument),
         default_plan=with_channels(default, instrument),
-        expected=own.expected(whole),
+        expected=final.expected(whole),
         expected_of_default=of_default,
         most_helpful=[
             None if h is None else (plan.theta_i_deg[h[0]], plan.rotations_deg[h[1]], h[2])
-            for h in own.helps_most(whole)
+            for h in final.helps_most(whole)
         ],
         determined=determined.tolist(),
         meanings={"independent": "noise of the counts"}
@@ -231,13 +234,13 @@ def _candidates(setup: Setup, plan: Plan, progress: StagedProgress | None) -> Ca
 def _judged(
     setup: Setup, session: VirtualSession, domes: DrawnDomes
 ) -> tuple[Candidates, BRDFSamples]:
-    """What a session's images say of the parameters, and its samples.
+    """Candidates from a session's images, and its samples.
 
-    Its takes of standard and background are in its variances already.
+    The variances already contain its takes of standard and background.
     """
     plan = session.metadata.plan
     samples = reduce(session, threads=setup.threads)
-    samples = domes.in_place_of_slope_terms(samples)
+    samples = domes.replace_slope_terms(samples)
     candidates = Candidates(
         samples,
         setup.model,
@@ -274,13 +277,13 @@ def _without_idle_exposures(
     reached: Reached | None,
     progress: StagedProgress | None,
 ) -> tuple[Plan, Candidates, BRDFSamples]:
-    """The plan without the exposures that no pixel needs, and what its images say."""
+    """The plan without the exposures that no pixel needs, its candidates and its samples."""
     callback = begin(progress, "leaving out exposures", "images")
     session = setup.session(plan, progress=callback)
-    # Other domes than those that the plan was chosen by: it may have found a way around them.
+    # Domes other than those of the search, because the plan may be fitted to those.
     domes = DrawnDomes.draw(setup.instrument, N_DOMES)
-    own, samples = _judged(setup, session, domes)
-    expected = own.expected(own.everything)
+    final, samples = _judged(setup, session, domes)
+    expected = final.expected(final.everything)
     limit, area = criterion(expected) + _TRIM, _coverage(samples)
     good = reached is not None and reached(expected)
     keep = list(range(len(plan.exposures_s)))
@@ -294,9 +297,9 @@ def _without_idle_exposures(
         tried, fewer_samples = _judged(setup, less, domes)
         then = tried.expected(tried.everything)
         if criterion(then) <= limit and (not good or (reached is not None and reached(then))):
-            keep, own, samples = fewer, tried, fewer_samples
+            keep, final, samples = fewer, tried, fewer_samples
     exposures = tuple(plan.exposures_s[k] for k in keep)
-    return plan.model_copy(update={"exposures_s": exposures}), own, samples
+    return plan.model_copy(update={"exposures_s": exposures}), final, samples
 
 
 def _still_covered(setup: Setup, session: VirtualSession, coverage: tuple[float, float]) -> bool:
@@ -306,7 +309,7 @@ def _still_covered(setup: Setup, session: VirtualSession, coverage: tuple[float,
     try:
         samples = reduce(session, threads=setup.threads)
     except DataError:
-        return False  # without it frames are wrong, or nothing is left
+        return False  # without the exposure, frames are refused or no sample is left
     now = _coverage(samples)
     return all(after >= _COVERED * before for after, before in zip(now, coverage, strict=True))
 

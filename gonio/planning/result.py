@@ -1,4 +1,4 @@
-"""What a plan search returns: the plan, and what is expected of it."""
+"""Result of a plan search: the plan, and the uncertainties that are expected of it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ AS_GOOD = 1 + 1e-9  # times a wanted uncertainty: rounding does not make a plan 
 
 @dataclass(frozen=True)
 class DesignResult:
-    """A plan with what is expected of it.
+    """A plan with the uncertainties that are expected of it.
 
     Parameters
     ----------
     setup : Setup
-        The instrument as it was planned with: coarse, of one channel.
+        The instrument that the search used: coarse, of one channel.
     instrument : Instrument
         The instrument as it was given.
     parameters, wanted : mapping
@@ -37,12 +37,12 @@ class DesignResult:
     expected, expected_of_default : Expected
         What a fit to each plan will state.
     most_helpful : list
-        For each parameter theta_i and rotation of the image that it would miss most, degrees, and
-        the factor by which its uncertainty grows without it.
+        For each parameter theta_i and rotation, degrees, of the image without which its
+        uncertainty grows most, and the factor of that growth.
     determined : list of bool
-        Parameters of which some candidate image says something.
+        Parameters that some candidate image determines.
     meanings : mapping of str to str
-        What the sources of uncertainty are.
+        Meaning of each source of uncertainty.
     constant : frozenset of str
         Sources that are the same in every simulated session: they bias, and do not scatter.
     verification : mapping, optional
@@ -86,7 +86,7 @@ class DesignResult:
         }
 
     def plan_text(self) -> str:
-        """The plan as a table [plan] of TOML, with what it was made for in a comment."""
+        """The plan as a table [plan] of TOML; a comment names the model and its parameters."""
         model = self.setup.model
         values = ", ".join(
             f"{q.name} = {q.to_file(self.parameters[q.name]):.6g}{' ' * bool(q.file_unit)}"
@@ -106,7 +106,7 @@ class DesignResult:
         rows = []
         for r in reported:
             row = self._row(r.parameter, r.unknown)
-            # Only parameters that are fixed or tied say so.
+            # Only fixed and tied parameters have these keys.
             if r.unknown is None:
                 row["fixed"] = True
             if r.tied_to is not None:
@@ -116,31 +116,31 @@ class DesignResult:
 
     def _row(self, parameter: Parameter, j: int | None) -> dict[str, Any]:
         value = self.parameters[parameter.name]
-        known = j is not None and self._known(j, self.expected)
+        determined = j is not None and self._is_determined(j, self.expected)
         source: str | None = None
         largest, u, u_of_default, helpful = math.nan, math.nan, None, None
         if j is not None:
             u = float(self.expected.u[j])
-            if known:
-                source, largest = self.expected.limit(j)
+            if determined:
+                source, largest = self.expected.largest_source(j)
                 helpful = self.most_helpful[j]
-            if self._known(j, self.expected_of_default):
+            if self._is_determined(j, self.expected_of_default):
                 u_of_default = parameter.to_file(float(self.expected_of_default.u[j]))
         return {
             "name": parameter.name,
             "value": parameter.to_file(value),
             "unit": parameter.file_unit,
-            "u": parameter.to_file(u) if known else None,
-            "u_relative": _share(u, value) if known else None,
+            "u": parameter.to_file(u) if determined else None,
+            "u_relative": _share(u, value) if determined else None,
             "u_of_default": u_of_default,
             "wanted": self.wanted.get(parameter.name),
             "largest_source": source,
-            "largest_source_u": parameter.to_file(largest) if known else None,
+            "largest_source_u": parameter.to_file(largest) if determined else None,
             "helped_most_by": None if helpful is None else _helping(*helpful),
         }
 
-    def _known(self, j: int, expected: Expected) -> bool:
-        """Whether the images say more of a parameter than its allowed range does."""
+    def _is_determined(self, j: int, expected: Expected) -> bool:
+        """Whether the images determine a parameter better than its allowed range does."""
         parameter = self.setup.unknowns[j]
         return bool(expected.determined[j] and expected.u[j] < (parameter.upper - parameter.lower))
 
@@ -188,7 +188,7 @@ class DesignResult:
 
 
 def _helping(theta_i_deg: float, rotation_deg: float, growth: float) -> dict[str, float | None]:
-    """The image that a parameter would miss most; no growth where nothing is left without it."""
+    """The most helpful image; no growth where the parameter is not determined without it."""
     finite = growth if math.isfinite(growth) else None
     return {"theta_i_deg": theta_i_deg, "rotation_deg": rotation_deg, "growth": finite}
 

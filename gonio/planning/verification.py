@@ -1,4 +1,4 @@
-"""A plan against simulation: do fits to its sessions scatter as was expected?"""
+"""Check of a plan by simulation: the scatter of fits against the expected uncertainties."""
 
 from __future__ import annotations
 
@@ -39,23 +39,25 @@ def verify(
     fitted = []
     for seed in range(n_seeds):
         samples = reduce(setup.drawn(plan, seed), threads=setup.threads)
-        fitted_to = fit(
+        estimate = fit(
             samples,
             model=setup.model,
             fixed=setup.constraints.fixed,
             tied=setup.constraints.tied,
             threads=setup.threads,
         )
-        fitted.append([q.to_file(fitted_to.parameters[q.name].value) for q in setup.unknowns])
+        fitted.append([q.to_file(estimate.parameters[q.name].value) for q in setup.unknowns])
         if callback is not None:
             callback(seed + 1, n_seeds)
     values = np.array(fitted)
     rows = []
     for j, q in enumerate(setup.unknowns):
-        known = bool(result.expected.determined[j])
+        determined = bool(result.expected.determined[j])
         components = result.expected.components
         parts = {k: u[j] for k, u in components.items() if k not in result.constant}
-        predicted = q.to_file(float(np.sqrt(sum(u**2 for u in parts.values())))) if known else None
+        predicted = (
+            q.to_file(float(np.sqrt(sum(u**2 for u in parts.values())))) if determined else None
+        )
         scatter = float(values[:, j].std(ddof=1))
         rows.append(
             {

@@ -1,4 +1,4 @@
-"""Virtual sessions in memory: what a plan is made with and what it is verified by."""
+"""Virtual sessions in memory, for the search and the verification of a plan."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gonio.metadata import Metadata, Plan, Role
 from gonio.models import Model, Parameter
 from gonio.session import Session
 
-# Pixels across the frame, to which a sensor is binned: the shared errors decide, and they do not
+# Pixels across the frame to which a sensor is binned. Shared errors dominate, and they do not
 # depend on how finely the hemisphere is sampled.
 ACROSS = 250
 Progress = Callable[[int, int], None]
@@ -32,18 +32,18 @@ class VirtualSession(Session):
 
     Parameters
     ----------
-    known : Metadata
+    metadata : Metadata
     frames : mapping of (role, take, incidence) to ndarray, shape (exposures, rows, columns)
     """
 
     def __init__(
-        self, known: Metadata, frames: dict[tuple[Role, int, int], NDArray[np.uint16]]
+        self, metadata: Metadata, frames: dict[tuple[Role, int, int], NDArray[np.uint16]]
     ) -> None:
-        super().__init__(Path("virtual session"), known, {})
+        super().__init__(Path("virtual session"), metadata, {})
         self._frames = frames
 
     def require_complete(self) -> None:
-        """It always is."""
+        """Do nothing: all frames are in memory."""
 
     def bracket(
         self, role: str, take: int, incidence: int, *, channel: int = 0
@@ -52,12 +52,12 @@ class VirtualSession(Session):
         return self._frames[role, take, incidence]  # type: ignore[index]
 
     def with_exposures(self, keep: list[int]) -> VirtualSession:
-        """The session as if only these exposures, by number, had been taken."""
+        """The session with only the exposures of these numbers."""
         plan = self.metadata.plan
         less = plan.model_copy(update={"exposures_s": tuple(plan.exposures_s[k] for k in keep)})
-        known = self.metadata.model_copy(update={"plan": less})
+        metadata = self.metadata.model_copy(update={"plan": less})
         return VirtualSession(
-            known, {image: frames[keep] for image, frames in self._frames.items()}
+            metadata, {image: frames[keep] for image, frames in self._frames.items()}
         )
 
     def overexposed(self) -> float:
@@ -146,13 +146,13 @@ def _no_drift(plan: Plan) -> Realisation:
     return Realisation(1.0, np.ones((plan.n_images, 1)), 1, 2, 3, 1.0)
 
 
-def one_channel(rig: Instrument) -> Instrument:
+def one_channel(instrument: Instrument) -> Instrument:
     """The instrument with its dimmest filter alone."""
-    dimmest = min(rig.channels, key=lambda channel: channel.relative_rate)
-    return rig.model_copy(update={"channels": (dimmest,)})
+    dimmest = min(instrument.channels, key=lambda channel: channel.relative_rate)
+    return instrument.model_copy(update={"channels": (dimmest,)})
 
 
-def coarse(rig: Instrument) -> Instrument:
+def coarse(instrument: Instrument) -> Instrument:
     """The instrument with a sensor that is binned to about `ACROSS` pixels.
 
     Rates, full wells and noise are those of the pixels that are summed.
@@ -163,22 +163,22 @@ def coarse(rig: Instrument) -> Instrument:
     >>> coarse(preset("modern12")).sensor.shape
     (208, 208)
     """
-    sensor = rig.sensor
+    sensor = instrument.sensor
     binning = sensor.binning
     while min(sensor.rows, sensor.columns) // binning > ACROSS and not (
         sensor.rows % (2 * binning) or sensor.columns % (2 * binning)
     ):
         binning *= 2
     if binning == sensor.binning:
-        return rig
+        return instrument
     largest = binning**2 * ((1 << sensor.bits) - 1)
     change = {
         "binning": binning,
         "binned_divisor": max(sensor.binned_divisor, -(-largest // 65535)),
     }
-    return rig.model_copy(update={"sensor": sensor.model_copy(update=change)})
+    return instrument.model_copy(update={"sensor": sensor.model_copy(update=change)})
 
 
-def with_channels(plan: Plan, rig: Instrument) -> Plan:
+def with_channels(plan: Plan, instrument: Instrument) -> Plan:
     """The plan for this instrument's channels."""
-    return plan.model_copy(update={"channels": channels(rig)})
+    return plan.model_copy(update={"channels": channels(instrument)})

@@ -1,13 +1,13 @@
 """Pictures of models, frames, samples, fits and posteriors.
 
 Each function draws one thing on the axes it is given, or on new ones, and returns them; `summary`
-puts them together. Nothing here changes matplotlib's settings for anyone else.
+puts them together. No function changes matplotlib's settings outside itself.
 
 - `frames`: raw frames, merged, with the reflected angles drawn over them;
 - `slices`: the BRDF in the plane of incidence, measured and fitted (Ward 1992, Fig. 6);
 - `model_lobe`, `model_lobes`: a model in its plane of incidence, as a polar diagram;
 - `hemisphere_map`, `hemisphere_samples`: a model, or measured values, over all directions;
-- `residual_map`: what a fit leaves over of them;
+- `residual_map`: the residuals of a fit over all directions;
 - `albedo_curve`: directional albedo of a model;
 - `lobe_solid`: a model's lobe in space;
 - `corner`: the posterior of a fit;

@@ -1,4 +1,4 @@
-"""A calibration board to print: SVG in true size, or PNG with its dots an inch."""
+"""A calibration board to print: SVG in true size, or PNG with its resolution."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ def save_board(board: Board, path: str | Path, *, dpi: int = DPI) -> None:
     Parameters
     ----------
     board : Board
+        The board to draw.
     path : path
-        Ends in .svg (exact at any scale) or .png.
+        File to write; its name ends in .svg (exact at any scale) or .png.
     dpi : int
-        Of the PNG; each square and marker is drawn to the nearest dot.
+        Dots an inch of the PNG; each square and marker is drawn to the nearest dot.
 
     Raises
     ------
@@ -57,26 +58,26 @@ def rectangles(board: Board) -> list[tuple[float, float, float, float]]:
     """
     content, markers = board.pattern()
     square, side = board.square_mm, board.marker_side
-    found = []
-    for (row, column), what in np.ndenumerate(content):
+    boxes = []
+    for (row, column), marker in np.ndenumerate(content):
         x, y = column * square, row * square
-        if what == -1:
-            found.append((x, y, square, square))
-        elif what >= 0:
+        if marker == -1:
+            boxes.append((x, y, square, square))
+        elif marker >= 0:
             edge, cell = (square - side) / 2, side / markers.shape[1]
-            for j, i, width in _runs(~markers[what]):
-                found.append((x + edge + i * cell, y + edge + j * cell, width * cell, cell))
-    return found
+            for j, i, width in _runs(~markers[marker]):
+                boxes.append((x + edge + i * cell, y + edge + j * cell, width * cell, cell))
+    return boxes
 
 
 def _runs(ink: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
     """Row, first column and length of the runs of ink in a marker."""
-    found = []
+    runs = []
     for j, row in enumerate(ink):
         steps = np.diff(np.concatenate([[0], row.astype(int), [0]]))
         starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-        found += [(j, int(a), int(b - a)) for a, b in zip(starts, ends, strict=True)]
-    return found
+        runs += [(j, int(a), int(b - a)) for a, b in zip(starts, ends, strict=True)]
+    return runs
 
 
 def _svg(board: Board) -> str:

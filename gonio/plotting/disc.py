@@ -9,17 +9,17 @@ from gonio.geometry import FloatArray, equal_area, unit_vectors
 from gonio.plotting.style import BLACK, GREY
 
 CIRCLES_DEG = (30.0, 60.0, 90.0)
-UNSEEN = "#d9d9d9"
+NO_DATA = "#d9d9d9"
 _LABELS_AT_DEG = -33.75
 _AROUND = np.linspace(0, 2 * np.pi, 181)
 
 
 def at(theta_deg: float, phi: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-    """Place on the disc of a polar angle in degrees and azimuths in radians."""
+    """Position on the disc of a polar angle in degrees and azimuths in radians."""
     return equal_area(unit_vectors(np.radians(theta_deg), phi))
 
 
-def draw_disc(ax: Axes, *, background: str = UNSEEN) -> None:
+def draw_disc(ax: Axes, *, background: str = NO_DATA) -> None:
     """Circles of equal theta_r with their angles, azimuths around, x to the right."""
     ax.fill(*at(90.0, _AROUND), color=background, linewidth=0, zorder=0)
     for circle in CIRCLES_DEG:
@@ -41,7 +41,7 @@ def draw_disc(ax: Axes, *, background: str = UNSEEN) -> None:
 def mark_incidence(ax: Axes, theta_i: float, phi_i: float) -> None:
     """A ring about the direction of the light and a cross at that of the mirror, radians.
 
-    They have a white edge: they are seen on dark colours and on light ones.
+    Their white edge makes them visible on dark colours and on light ones.
     """
     degrees = float(np.degrees(theta_i))
     for phi, marker, size, label in (

@@ -1,4 +1,4 @@
-"""Raw frames as the camera saw them, with the reflected angles drawn over them."""
+"""Raw frames with the reflected angles drawn over them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def frames(
     Raises
     ------
     ConfigurationError
-        If an incidence is not of the plan, or the number of axes is another.
+        If an incidence is not in the plan, or the number of axes is not that of the frames.
     DataError
         If a frame is missing or damaged, or no pixel has a signal.
 
@@ -81,20 +81,20 @@ def frames(
 def default_incidences(metadata: Metadata) -> list[int]:
     """Indices of the first, a middle and the last incidence angle, in the order of the angles."""
     theta = np.array(metadata.plan.theta_i_deg)
-    wanted = np.linspace(theta.min(), theta.max(), 3)
-    return list(dict.fromkeys(int(np.argmin(np.abs(theta - angle))) for angle in wanted))
+    angles = np.linspace(theta.min(), theta.max(), 3)
+    return list(dict.fromkeys(int(np.argmin(np.abs(theta - angle))) for angle in angles))
 
 
 def pixel_of(
     metadata: Metadata, theta_r: ArrayLike, phi_r: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """(Fractional) column and row that see a reflected direction, radians, laboratory frame.
+    """Fractional column and row at which the camera receives a reflected direction.
 
-    NaN outside the image circle.
+    Angles are in radians, in the laboratory frame. The result is NaN outside the image circle.
     """
     camera, geometry = metadata.camera, metadata.geometry
     theta_c, phi_c = reflector.camera_angles(theta_r, phi_r, R=geometry.R, D=geometry.D)
-    # The lens is calibrated from the sensor to angles; a table turns that round.
+    # The calibration leads from the sensor to angles; a table inverts it.
     half = np.hypot(camera.columns * camera.pitch_mm[0], camera.rows * camera.pitch_mm[1]) / 2
     radius = np.linspace(0, half, 4097)
     theta, _ = lens.camera_angles(metadata.lens, radius, np.zeros_like(radius))
@@ -161,7 +161,7 @@ def _draw(
 
 
 def _circles(ax: Axes, metadata: Metadata, *, symbol: bool) -> None:
-    """Circles of equal theta_r, each with its angle; the symbol need not stand in every frame."""
+    """Circles of equal theta_r, each with its angle; `symbol` writes theta_r before the first."""
     rim = metadata.geometry.usable_theta_r_deg
     azimuth = np.linspace(0, 2 * np.pi, 361)
     for circle in (*(c for c in CIRCLES_DEG if c < rim), rim):
@@ -193,7 +193,7 @@ def _mark(
 
 
 def _frame(ax: Axes, metadata: Metadata) -> None:
-    """Limits around the rim, and a few ticks in pixels."""
+    """Axis limits around the rim, and a few ticks in pixels."""
     rim = np.radians(metadata.geometry.usable_theta_r_deg)
     x, y = pixel_of(metadata, rim, np.linspace(0, 2 * np.pi, 361))
     margin = 0.04 * float(np.nanmax(x) - np.nanmin(x))

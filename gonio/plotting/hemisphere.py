@@ -1,4 +1,4 @@
-"""BRDF over the whole hemisphere, of a model or as measured, and what a fit leaves over of it."""
+"""BRDF over the whole hemisphere, of a model or as measured, and the residuals of a fit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.result import FitResult
 from gonio.geometry import HORIZON, FloatArray, equal_area, unit_vectors
 from gonio.models import Model
-from gonio.plotting.disc import UNSEEN, draw_disc, mark_incidence
+from gonio.plotting.disc import NO_DATA, draw_disc, mark_incidence
 from gonio.plotting.style import BLUE, VERMILLION, _new_figure, nothing_to_draw, style
 from gonio.samples import BRDFSamples
 
@@ -24,7 +24,7 @@ DECADES = 4.0  # most that the colours span
 PANELS = 3
 _STEEPEST = 89.0  # degrees: at the horizon itself f is 0 by definition
 _SAME = np.radians(0.05)
-_MAP = "viridis"  # its lightness grows with the value: it reads in grey
+_MAP = "viridis"  # its lightness grows with the value, so that a grey print shows it too
 
 
 def hemisphere_map(
@@ -58,7 +58,7 @@ def hemisphere_map(
     Raises
     ------
     ConfigurationError
-        For an unknown name, an incidence at or below the horizon, or another number of axes.
+        For an unknown name, an incidence at or below the horizon, or a wrong number of axes.
     DataError
         If f is 0 everywhere.
 
@@ -120,7 +120,7 @@ def hemisphere_samples(
     DataError
         If no value is positive.
     ConfigurationError
-        If the number of axes is another.
+        If the number of axes is not that of the incidences.
     """
     chosen = _incidences(samples, n)
     norm = _norm(samples.value)
@@ -128,10 +128,15 @@ def hemisphere_samples(
         axes = _panels(axes, len(chosen))
         for ax, (theta_i, phi_i, index) in zip(axes, chosen, strict=True):
             draw_disc(ax, background="white")
-            x, y, size = _places(samples, index)
+            x, y, size = _positions(samples, index)
             value = samples.value[index]
             ax.scatter(
-                x[value <= 0], y[value <= 0], size[value <= 0], color=UNSEEN, linewidths=0, zorder=1
+                x[value <= 0],
+                y[value <= 0],
+                size[value <= 0],
+                color=NO_DATA,
+                linewidths=0,
+                zorder=1,
             )
             lit = value > 0
             drawn = ax.scatter(
@@ -156,7 +161,7 @@ def residual_map(
     *,
     n: int = PANELS,
 ) -> list[Axes]:
-    """Measured less fitted over the hemisphere, in per cent of the fitted f.
+    """Measured minus fitted over the hemisphere, in per cent of the fitted f.
 
     Parameters
     ----------
@@ -172,19 +177,19 @@ def residual_map(
     -------
     list of Axes
         A triangle for each sample: upwards where the measurement is above the fit, downwards
-        where it is below; the darker, the farther. The sign is told by the shape as well as by
-        the colour, for print and for the colour-blind. Samples at which the fitted f is not
-        above zero are left out.
+        where it is below. A darker colour is a larger residual. The shape shows the sign as well
+        as the colour does, for print and for the colour-blind. Samples at which the fitted f is
+        not above zero are left out.
 
     Raises
     ------
     ConfigurationError
-        If the number of axes is another.
+        If the number of axes is not that of the incidences.
 
     Notes
     -----
-    The colours end where 95 % of the residuals lie within. Neighbours of one sign are what a
-    wrong model or a wrong direction looks like.
+    95 % of the residuals lie within the range of the colours. A wrong model or a wrong direction
+    shows as neighbours of one sign.
     """
     from gonio.reporting.residuals import colour_limit, residuals
 
@@ -196,12 +201,12 @@ def residual_map(
         axes = _panels(axes, len(chosen))
         for ax, (theta_i, phi_i, index) in zip(axes, chosen, strict=True):
             draw_disc(ax, background="white")
-            x, y, size = _places(samples, index)
-            rest = percent[index]
-            for side, marker in ((rest >= 0, "^"), (rest < 0, "v")):
+            x, y, size = _positions(samples, index)
+            values = percent[index]
+            for side, marker in ((values >= 0, "^"), (values < 0, "v")):
                 drawn = ax.scatter(
-                    x[side], y[side], 1.3 * size[side], c=rest[side], norm=norm, cmap=_diverging(),
-                    marker=marker, linewidths=0, zorder=1,
+                    x[side], y[side], 1.3 * size[side], c=values[side], norm=norm,
+                    cmap=_diverging(), marker=marker, linewidths=0, zorder=1,
                 )  # fmt: skip
             _finish(ax, theta_i, phi_i)
         _bar(axes, drawn, "measured − fitted (% of the fitted f)")
@@ -209,7 +214,7 @@ def residual_map(
 
 
 def _diverging() -> str:
-    """Blue below, pale in the middle, red-orange above: as dark at one end as at the other."""
+    """Name of a colour map from blue by pale grey to red-orange, equally dark at both ends."""
     import matplotlib as mpl
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -227,7 +232,7 @@ def _norm(values: FloatArray) -> LogNorm:
         raise nothing_to_draw("f is nowhere above 0")
     top, low = float(lit.max()), float(np.percentile(lit, 1))
     low = max(low, top / 10**DECADES)
-    # Even light is shown as even and not as its rounding.
+    # A constant BRDF is drawn in one colour; its rounding errors are not stretched.
     return LogNorm(low, top) if low < 0.8 * top else LogNorm(0.5 * top, 1.25 * top)
 
 
@@ -264,19 +269,21 @@ def _incidences(samples: BRDFSamples, n: int) -> list[tuple[float, float, FloatA
     theta_i, phi_i = (np.broadcast_to(a, (len(samples),)) for a in (d.theta_i, d.phi_i))
     ordered = np.unique(theta_i)
     every = ordered[np.diff(ordered, prepend=-np.inf) > _SAME]
-    wanted = np.linspace(every[0], every[-1], min(n, len(every)))
-    found = []
-    for angle in sorted({float(every[np.argmin(np.abs(every - w))]) for w in wanted}):
+    targets = np.linspace(every[0], every[-1], min(n, len(every)))
+    incidences = []
+    for angle in sorted({float(every[np.argmin(np.abs(every - w))]) for w in targets}):
         index = np.flatnonzero(np.abs(theta_i - angle) < _SAME)
         turn = (phi_i[index] + np.pi) % (2 * np.pi) - np.pi
         azimuth = float(turn[np.argmin(np.abs(turn))])
         index = index[np.abs(np.angle(np.exp(1j * (phi_i[index] - azimuth)))) < _SAME]
-        found.append((angle, azimuth, index))
-    return found
+        incidences.append((angle, azimuth, index))
+    return incidences
 
 
-def _places(samples: BRDFSamples, index: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places on the disc, and areas of markers in points^2 by the solid angle of the cells."""
+def _positions(
+    samples: BRDFSamples, index: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions on the disc, and areas of markers, points^2, by the solid angle of the cells."""
     d, shape = samples.directions, (len(samples),)
     theta, phi = (np.broadcast_to(a, shape)[index] for a in (d.theta_r, d.phi_r))
     x, y = equal_area(unit_vectors(theta, phi))

@@ -1,4 +1,4 @@
-"""How well a fitted lens meets the corners of its boards."""
+"""Residuals of a fitted lens at the corners of its boards."""
 
 from __future__ import annotations
 
@@ -12,40 +12,43 @@ from gonio.geometry import FloatArray
 from gonio.plotting.style import BLUE, GREY, ORANGE, VERMILLION, _new_figure, style
 
 CIRCLES_DEG = (30.0, 60.0, 90.0)
-ARROW_SHARE = 0.025  # length of an arrow of the rms, of the picture's width
+ARROW_SHARE = 0.025  # length of an arrow as long as the rms, over the picture's width
 _BIN_DEG = 5.0
 
 
-def residual_map(found: LensFromPhotos) -> Figure:
+def residual_map(calibration: LensFromPhotos) -> Figure:
     """Residuals of all corners: as arrows over the image, and along the radius by angle.
 
     Parameters
     ----------
-    found : LensFromPhotos
+    calibration : LensFromPhotos
+        A lens with the photographs that it was fitted to.
 
     Returns
     -------
     Figure
-        Left: observed minus projected, enlarged, where the corners stand; circles of equal theta.
+        Left: observed minus projected, enlarged, at the corners; circles of equal theta.
         Right: the part along the radius, each corner and the mean with its standard error in
-        steps of 5 deg, and twice the standard uncertainty of the lens. What a lens model cannot
-        follow shows there as a wave.
+        steps of 5 deg, and twice the standard uncertainty of the lens. A wave in the means
+        is what the lens model cannot describe.
     """
-    pixels = np.vstack([view.pixels for view in found.fit.views])
-    residuals = np.vstack(found.fit.residuals)
+    pixels = np.vstack([view.pixels for view in calibration.fit.views])
+    residuals = np.vstack(calibration.fit.residuals)
     with style():
         figure = _new_figure(9.6, 4.6)
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.05))
-        _arrows(left, found, pixels, residuals)
-        _along_radius(right, found, pixels, residuals)
+        _arrows(left, calibration, pixels, residuals)
+        _along_radius(right, calibration, pixels, residuals)
     return figure
 
 
-def _arrows(ax: Axes, found: LensFromPhotos, pixels: FloatArray, residuals: FloatArray) -> None:
-    rows, columns = found.shape
-    rms = found.fit.rms_px
+def _arrows(
+    ax: Axes, calibration: LensFromPhotos, pixels: FloatArray, residuals: FloatArray
+) -> None:
+    rows, columns = calibration.shape
+    rms = calibration.fit.rms_px
     scale = rms / (ARROW_SHARE * columns)  # pixels of residual for a pixel of the picture
-    _circles(ax, found)
+    _circles(ax, calibration)
     arrows = ax.quiver(
         *pixels.T, *residuals.T, angles="xy", scale_units="xy", scale=scale, color=BLUE,
         width=0.0016, headwidth=4, headlength=5,
@@ -61,12 +64,13 @@ def _arrows(ax: Axes, found: LensFromPhotos, pixels: FloatArray, residuals: Floa
     ax.set_xlabel("column (pixel)")
     ax.set_ylabel("row (pixel)")
     ax.set_title(
-        f"{found.fit.n_corners} corners in {len(found.fit.views)} photographs, rms {rms:.3f} px"
+        f"{calibration.fit.n_corners} corners in {len(calibration.fit.views)} photographs, "
+        f"rms {rms:.3f} px"
     )
 
 
-def _circles(ax: Axes, found: LensFromPhotos) -> None:
-    lens = found.fit.lens
+def _circles(ax: Axes, calibration: LensFromPhotos) -> None:
+    lens = calibration.fit.lens
     for circle in CIRCLES_DEG:
         radius = float(lens.radius(np.radians(circle)))
         size = 2 * radius, 2 * radius * lens.ratio
@@ -80,9 +84,9 @@ def _circles(ax: Axes, found: LensFromPhotos) -> None:
 
 
 def _along_radius(
-    ax: Axes, found: LensFromPhotos, pixels: FloatArray, residuals: FloatArray
+    ax: Axes, calibration: LensFromPhotos, pixels: FloatArray, residuals: FloatArray
 ) -> None:
-    fit = found.fit
+    fit = calibration.fit
     theta = np.degrees(fit.theta())
     outward = pixels - fit.lens.centre
     outward /= np.maximum(np.hypot(*outward.T), 1e-9)[:, None]
@@ -102,17 +106,17 @@ def _along_radius(
     ax.axhline(0, color=GREY, linewidth=0.6)
     ax.set_xlabel(r"$θ_{\mathrm{c}}$ (°)")
     ax.set_ylabel("residual along the radius (pixel)")
-    ax.set_title(f"corners reach θ = {found.reach_deg:.1f}°")
+    ax.set_title(f"corners reach θ = {calibration.reach_deg:.1f}°")
     ax.legend(loc="upper left", ncols=3, markerscale=2)
 
 
 def _means(theta: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean angle, mean residual and its standard error in steps of the angle, 3 corners or more."""
-    found = []
+    bins = []
     for start in np.arange(0, theta.max(), _BIN_DEG):
         inside = (theta >= start) & (theta < start + _BIN_DEG)
         if (n := int(inside.sum())) >= 3:
             values = along[inside]
-            found.append((theta[inside].mean(), values.mean(), values.std(ddof=1) / np.sqrt(n)))
-    columns = np.array(found).reshape(-1, 3).T
+            bins.append((theta[inside].mean(), values.mean(), values.std(ddof=1) / np.sqrt(n)))
+    columns = np.array(bins).reshape(-1, 3).T
     return columns[0], columns[1], columns[2]

@@ -16,9 +16,9 @@ from gonio.geometry import Directions, FloatArray
 from gonio.plotting.style import COLOURS, GREY, new_axes, nothing_to_draw, style
 from gonio.samples import BRDFSamples
 
-N_SLICES = 6  # no more than there are colours
+N_SLICES = 6  # at most one for each colour
 LEAST_POINTS = 4  # in the plane, for an incidence to be drawn
-IN_PLANE = np.radians(2.0)  # distance from the plane that is allowed where cells have no size
+IN_PLANE = np.radians(2.0)  # largest distance from the plane where cells have no size
 SAME_ANGLE = np.radians(0.05)
 LOG_FROM = 20.0  # ratio of the largest to the smallest value from which the scale is logarithmic
 LABEL_WIDTH = 5.0  # degrees: half the width of a label on the axis, about
@@ -97,7 +97,7 @@ def slices(
                 ax.plot(*line, color=colour, linewidth=1.0, zorder=3)
             else:  # a faint line leads the eye from point to point
                 ax.plot(np.degrees(part.theta_r), part.value, color=colour, linewidth=0.4)
-        _limits(ax, drawn, lines, logarithmic=logarithmic)
+        _set_axis_limits(ax, drawn, lines, logarithmic=logarithmic)
         corner = _label(ax, drawn, _curves(drawn, lines))
         _legend(ax, result, corner, has_bars=any(part.u.any() for part in drawn))
         _name_axes(ax)
@@ -125,7 +125,7 @@ def in_plane(samples: BRDFSamples, n: int = N_SLICES) -> list[Slice]:
     side = np.sin(theta_r)
     near = np.abs(np.sin(phi_r - phi_i)) * side < _half_width(samples)
     index = np.flatnonzero(near)
-    found = []
+    incidences = []
     for angle in _distinct(theta_i[index]):
         at = index[np.abs(theta_i[index] - angle) < SAME_ANGLE]
         turn = (phi_i[at] + np.pi) % (2 * np.pi) - np.pi
@@ -137,7 +137,7 @@ def in_plane(samples: BRDFSamples, n: int = N_SLICES) -> list[Slice]:
         signed = forward * theta_r[at]
         order = np.argsort(signed, kind="stable")
         u = samples.u_independent
-        found.append(
+        incidences.append(
             Slice(
                 float(theta_i[at[0]]),
                 float(phi_i[at[0]]),
@@ -146,7 +146,7 @@ def in_plane(samples: BRDFSamples, n: int = N_SLICES) -> list[Slice]:
                 np.zeros(len(at)) if u is None else u[at][order],
             )
         )
-    return _spread(found, n)
+    return _spread(incidences, n)
 
 
 def _half_width(samples: BRDFSamples) -> FloatArray | float:
@@ -162,12 +162,12 @@ def _distinct(values: FloatArray) -> FloatArray:
     return np.asarray(ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE])
 
 
-def _spread(found: list[Slice], n: int) -> list[Slice]:
-    if len(found) <= n:
-        return found
-    angles = np.array([part.theta_i for part in found])
-    wanted = np.linspace(angles[0], angles[-1], n)
-    return [found[k] for k in sorted({int(np.argmin(np.abs(angles - w))) for w in wanted})]
+def _spread(incidences: list[Slice], n: int) -> list[Slice]:
+    if len(incidences) <= n:
+        return incidences
+    angles = np.array([part.theta_i for part in incidences])
+    targets = np.linspace(angles[0], angles[-1], n)
+    return [incidences[k] for k in sorted({int(np.argmin(np.abs(angles - w))) for w in targets})]
 
 
 def _edge(drawn: list[Slice]) -> float:
@@ -212,14 +212,14 @@ def _points(ax: Axes, part: Slice, colour: str, *, faint: bool) -> None:
     )
 
 
-def _limits(
+def _set_axis_limits(
     ax: Axes,
     drawn: list[Slice],
     lines: list[Line | None],
     *,
     logarithmic: bool,
 ) -> None:
-    """Room for the labels above; noise around zero must not stretch a logarithmic axis."""
+    """Set the axis limits with room for labels; noise about zero must not stretch a log axis."""
     values = np.concatenate([part.value for part in drawn])
     curves = [line[1] for line in lines if line]
     top = float(max([values.max(), *(c.max() for c in curves)]))
@@ -272,15 +272,15 @@ def _label(ax: Axes, drawn: list[Slice], curves: list[Line]) -> Corner:
 
 
 def _has_peaks(drawn: list[Slice], curves: list[Line]) -> bool:
-    """Whether most curves are the highest of all at their own specular direction, all seen."""
+    """Whether most curves are the highest at their own specular direction, all of them measured."""
     if max(part.theta_i for part in drawn) > _edge(drawn) + np.radians(EDGE_MARGIN):
         return False
-    own = 0
+    n_peaks = 0
     for part, (x, y) in zip(drawn, curves, strict=True):
         at = np.degrees(part.theta_i)
         others = [float(np.interp(at, *curve)) for curve in curves]
-        own += float(np.interp(at, x, y)) >= 0.95 * max(others)
-    return 2 * own > len(drawn)
+        n_peaks += float(np.interp(at, x, y)) >= 0.95 * max(others)
+    return 2 * n_peaks > len(drawn)
 
 
 def _label_peaks(ax: Axes, drawn: list[Slice], curves: list[Line]) -> None:

@@ -23,10 +23,10 @@ from gonio.plotting.style import BLUE, SKY, VERMILLION, _new_figure, nothing_to_
 
 LEVELS = (0.68, 0.95)
 BINS = 40
-SMOOTHING = 1.2  # bins: noise of the counts, not structure, is what a contour would follow
+SMOOTHING = 1.2  # bins: without it a contour would follow the noise of the counts
 MARGINS = (0.75, 0.1, 0.75, 0.1)  # left, right, bottom, top, inches
 GAP = 0.08  # between the panels, inches
-FAR = 3.0  # widths of the draws beyond which a true value is not brought into the picture
+FAR = 3.0  # widths of the draws beyond which a true value is not drawn
 
 
 def corner(
@@ -64,21 +64,21 @@ def corner(
     """
     parameters, columns = _draws_of(draws)
     n = len(parameters)
-    given = truth or {}
-    truth = {q.name: q.to_file(given[q.name]) for q in parameters if q.name in given}
-    limits = [_limits(c, truth.get(q.name)) for q, c in zip(parameters, columns, strict=True)]
+    true_values = truth or {}
+    truth = {q.name: q.to_file(true_values[q.name]) for q in parameters if q.name in true_values}
+    ranges = [_axis_range(c, truth.get(q.name)) for q, c in zip(parameters, columns, strict=True)]
     with style():
         if figure is None:
             figure = _new_figure(1.6 * n + 0.8, 1.6 * n + 0.4)
         triangle = _triangle(figure, n)
         for row, axes in enumerate(triangle):
             for column in range(row):
-                _pair(axes[column], columns[column], columns[row], limits[column], limits[row])
-            _histogram(axes[row], columns[row], limits[row])
-        _finish(triangle, parameters, limits, truth)
+                _pair(axes[column], columns[column], columns[row], ranges[column], ranges[row])
+            _histogram(axes[row], columns[row], ranges[row])
+        _finish(triangle, parameters, ranges, truth)
         _name_axes(figure, triangle, parameters)
-        known = any(q.name in truth for q in parameters)
-        _explain(figure, known=known, pairs=n > 1)
+        with_truth = any(q.name in truth for q in parameters)
+        _explain(figure, with_truth=with_truth, pairs=n > 1)
     return triangle
 
 
@@ -98,8 +98,8 @@ def _in_degrees(variable: Any) -> FloatArray:
     return np.degrees(values) if variable.attrs.get("units") == "rad" else values
 
 
-def _limits(column: FloatArray, true: float | None) -> tuple[float, float]:
-    """Nearly all draws, and the true value where that leaves them recognisable."""
+def _axis_range(column: FloatArray, true: float | None) -> tuple[float, float]:
+    """Range of an axis: nearly all draws, and the true value unless it lies far from them."""
     low, high = (float(q) for q in np.quantile(column, [0.001, 0.999]))
     width = high - low or max(abs(high), 1.0) * 1e-6
     if true is not None and low - FAR * width < true < high + FAR * width:
@@ -128,7 +128,7 @@ def _triangle(figure: Figure | SubFigure, n: int) -> list[list[Axes]]:
     return [[figure.add_axes(box) for box in row] for row in boxes]
 
 
-def _explain(figure: Figure | SubFigure, *, known: bool, pairs: bool) -> None:
+def _explain(figure: Figure | SubFigure, *, with_truth: bool, pairs: bool) -> None:
     """What the shades and lines are, in the empty corner."""
     marks: list[Artist] = [
         Patch(color=SKY, alpha=0.35, linewidth=0, label="central 68 %"),
@@ -136,14 +136,14 @@ def _explain(figure: Figure | SubFigure, *, known: bool, pairs: bool) -> None:
     ]
     if pairs:
         marks.append(Line2D([], [], color=BLUE, linewidth=0.8, label="contours: 68 %, 95 %"))
-    if known:
+    if with_truth:
         marks.append(Line2D([], [], color=VERMILLION, linewidth=0.8, label="true value"))
     figure.legend(handles=marks, loc="upper right", title="posterior", alignment="left")
 
 
-def _histogram(ax: Axes, column: FloatArray, limits: tuple[float, float]) -> None:
+def _histogram(ax: Axes, column: FloatArray, span: tuple[float, float]) -> None:
     low, median, high = np.quantile(column, [0.16, 0.5, 0.84])
-    counts, edges = np.histogram(column, BINS, range=limits)
+    counts, edges = np.histogram(column, BINS, range=span)
     ax.axvspan(float(low), float(high), color=SKY, alpha=0.35, linewidth=0)
     ax.stairs(counts, edges, color=BLUE, linewidth=1.0)
     ax.axvline(float(median), color=BLUE, linewidth=0.8, linestyle="--")
@@ -154,10 +154,10 @@ def _pair(
     ax: Axes,
     x: FloatArray,
     y: FloatArray,
-    x_limits: tuple[float, float],
-    y_limits: tuple[float, float],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
 ) -> None:
-    counts, x_edges, y_edges = np.histogram2d(x, y, BINS, range=[x_limits, y_limits])
+    counts, x_edges, y_edges = np.histogram2d(x, y, BINS, range=[x_range, y_range])
     density = gaussian_filter(counts, SMOOTHING, mode="constant")
     centres = [(edges[1:] + edges[:-1]) / 2 for edges in (x_edges, y_edges)]
     levels = [*_levels(density), float(density.max()) * (1 + 1e-9)]
@@ -171,26 +171,26 @@ def _pair(
 def _levels(density: FloatArray) -> list[float]:
     """Densities above which 95 % and 68 % of the draws lie, growing."""
     ordered = np.sort(density, axis=None)[::-1]
-    held = np.cumsum(ordered) / max(float(ordered.sum()), 1e-300)
-    where = np.searchsorted(held, sorted(LEVELS, reverse=True))
+    cumulative = np.cumsum(ordered) / max(float(ordered.sum()), 1e-300)
+    where = np.searchsorted(cumulative, sorted(LEVELS, reverse=True))
     return [float(level) for level in ordered[np.minimum(where, ordered.size - 1)]]
 
 
 def _finish(
     triangle: list[list[Axes]],
     parameters: list[Parameter],
-    limits: list[tuple[float, float]],
+    ranges: list[tuple[float, float]],
     truth: Mapping[str, float],
 ) -> None:
-    """Limits, true values, labels at the left and at the bottom only."""
+    """Axis ranges, true values, and labels at the left and at the bottom only."""
     last = len(triangle) - 1
     for row, axes in enumerate(triangle):
         for column, ax in enumerate(axes):
-            ax.set_xlim(*limits[column])
+            ax.set_xlim(*ranges[column])
             ax.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
             ax.tick_params(axis="x", labelrotation=45)
             if column < row:
-                ax.set_ylim(*limits[row])
+                ax.set_ylim(*ranges[row])
                 ax.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
             else:
                 ax.set_yticks([])

@@ -17,54 +17,55 @@ from gonio.plotting.style import BLACK, BLUE, VERMILLION, _new_figure, style
 _ELLIPSE = 0.09  # longest diameter of an ellipse, of the hemisphere's radius
 
 
-def resolution_map(found: Resolution) -> Figure:
+def resolution_map(resolution: Resolution) -> Figure:
     """Two hemispheres of viewing directions in the equal-area map, x to the right, y up.
 
     Parameters
     ----------
-    found : Resolution
+    resolution : Resolution
+        Blur and coverage of an instrument.
 
     Returns
     -------
     Figure
         Left: the blur's larger standard deviation as colour, and ellipses of the blur, enlarged.
         Right: the share of a pixel's rays that land on lit sample, lamp at normal incidence, and
-        the incidence angles that the lamp's arm reaches. Grey is not seen; the rim mask of the
-        reduction is drawn over both.
+        the incidence angles that the lamp's arm reaches. Grey: no pixel receives it. The rim mask
+        of the reduction is drawn over both.
     """
-    seen = found.share > 0
-    blur = np.where(seen, np.degrees(principal(found.blur)[..., 0]), np.nan)
+    covered = resolution.share > 0
+    blur = np.where(covered, np.degrees(principal(resolution.blur)[..., 0]), np.nan)
     with style():
         figure = _new_figure(9.4, 4.3)
         left, right = figure.subplots(1, 2)
-        inside = found.usable & seen
-        shown = blur[inside if inside.any() else seen]
+        inside = resolution.usable & covered
+        shown = blur[inside if inside.any() else covered]
         top = float(shown.max()) if len(shown) else 1.0
         least = float(shown.min()) if len(shown) else 0.0
-        norm = Normalize(min(least, 0.9 * top), top)  # an even blur is shown as even
-        _panel(left, found, blur, norm, "viridis", "blur, sd on the larger axis (°)")
-        _ellipses(left, found)
-        share = np.where(seen, found.share, np.nan)
-        _panel(right, found, share, Normalize(0, 1), "cividis", "share of rays on lit sample")
-        _outline(right, found)
-        _arm(right, found)
+        norm = Normalize(min(least, 0.9 * top), top)  # a constant blur is drawn in one colour
+        _panel(left, resolution, blur, norm, "viridis", "blur, sd on the larger axis (°)")
+        _ellipses(left, resolution)
+        share = np.where(covered, resolution.share, np.nan)
+        _panel(right, resolution, share, Normalize(0, 1), "cividis", "share of rays on lit sample")
+        _outline(right, resolution)
+        _arm(right, resolution)
         left.set_title("Blur; ellipses show its shape, enlarged")
         right.set_title("Coverage, lamp at normal incidence")
         right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=3)
-        figure.suptitle(found.instrument.name, fontsize=9)
+        figure.suptitle(resolution.instrument.name, fontsize=9)
     return figure
 
 
 def _panel(
-    ax: Axes, found: Resolution, values: FloatArray, norm: Normalize, cmap: str, label: str
+    ax: Axes, resolution: Resolution, values: FloatArray, norm: Normalize, cmap: str, label: str
 ) -> None:
     draw_disc(ax)
-    # The first azimuth stands at the end once more; a cell has the value of the point it begins at.
-    x, y = (np.concatenate([v, v[:, :1]], axis=1) for v in equal_area(found.w_r))
+    # The first azimuth is repeated at the end; a cell has the value of the point where it begins.
+    x, y = (np.concatenate([v, v[:, :1]], axis=1) for v in equal_area(resolution.w_r))
     image = ax.pcolormesh(
         x, y, values[:-1], norm=norm, cmap=cmap, shading="flat", rasterized=True, zorder=1
     )
-    rim = found.instrument.usable_theta_r_deg
+    rim = resolution.instrument.usable_theta_r_deg
     ax.plot(
         *at(rim, np.linspace(0, 2 * np.pi, 181)),
         color=BLACK,
@@ -75,15 +76,15 @@ def _panel(
     ax.figure.colorbar(image, ax=ax, label=label, shrink=0.8, pad=0.02)
 
 
-def _ellipses(ax: Axes, found: Resolution) -> None:
+def _ellipses(ax: Axes, resolution: Resolution) -> None:
     """The blur's ellipses at some directions, as the map would show them if they were large."""
     picked = [
         (theta, phi)
         for theta, n in ((0.0, 1), (20.0, 8), (50.0, 12), (72.0, 16))
         for phi in np.arange(n) * 2 * np.pi / n
     ]
-    kept = [(w, found.at(found.blur, np.radians(w[0]), w[1])) for w in picked]
-    drawn = [(w, tensor) for w, tensor in kept if tensor is not None]
+    tensors = [(w, resolution.at(resolution.blur, np.radians(w[0]), w[1])) for w in picked]
+    drawn = [(w, tensor) for w, tensor in tensors if tensor is not None]
     if not drawn:
         return
     shapes = [_on_map(np.radians(theta), phi, tensor) for (theta, phi), tensor in drawn]
@@ -110,17 +111,17 @@ def _on_map(theta: float, phi: float, tensor: FloatArray) -> FloatArray:
     return np.asarray(jacobian @ tensor @ jacobian.T)
 
 
-def _outline(ax: Axes, found: Resolution) -> None:
+def _outline(ax: Axes, resolution: Resolution) -> None:
     """Where the share of rays falls below WHOLE."""
-    x, y = equal_area(found.w_r)
-    closed = [np.concatenate([v, v[:, :1]], axis=1) for v in (x, y, found.share)]
-    if found.share.min() < WHOLE < found.share.max():
+    x, y = equal_area(resolution.w_r)
+    closed = [np.concatenate([v, v[:, :1]], axis=1) for v in (x, y, resolution.share)]
+    if resolution.share.min() < WHOLE < resolution.share.max():
         ax.contour(*closed, levels=[WHOLE], colors=[VERMILLION], linewidths=1.0, zorder=3)
         ax.plot([], [], color=VERMILLION, linewidth=1.0, label=f"{100 * WHOLE:g} % of the rays")
 
 
-def _arm(ax: Axes, found: Resolution) -> None:
-    limit = found.instrument.theta_i_max_deg
+def _arm(ax: Axes, resolution: Resolution) -> None:
+    limit = resolution.instrument.theta_i_max_deg
     ends = np.transpose([at(theta, 0.0) for theta in (0.0, limit)])
     ax.plot(*ends, color=BLUE, linewidth=1.4, marker="o", markersize=3, zorder=4,
             label=f"lamp's arm, to {limit:g}°")  # fmt: skip

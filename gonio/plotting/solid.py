@@ -1,4 +1,4 @@
-"""A model's lobe as a solid: over every direction of view as far out as f is large."""
+"""A model's lobe as a solid: its radius in every viewing direction grows with f."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gonio.plotting.model import _curve, _radius, _values_text
 from gonio.plotting.style import BLACK, GREY, VERMILLION, _new_figure, style
 
 _EDGE = np.radians(89.5)
-_SEEN_FROM = 24.0, -62.0  # elevation and azimuth of the viewer, degrees
+_VIEWER_DEG = 24.0, -62.0  # elevation and azimuth
 
 
 def lobe_solid(
@@ -41,7 +41,7 @@ def lobe_solid(
     Returns
     -------
     mpl_toolkits.mplot3d.Axes3D
-        The distance of the surface from the middle is f, on the scale that the title tells: linear
+        The distance of the surface from the middle is f, on the scale that the title names: linear
         where f varies little in the plane of incidence, else logarithmic.
 
     Raises
@@ -103,12 +103,12 @@ def _grid(theta_i: float, phi_i: float) -> Any:
 
 
 def _frame(ax: Any) -> None:
-    """Equal axes without numbers: the scale stands in the title."""
+    """Equal axes without numbers; the title gives the scale."""
     ax.set_xlim(-1, 1)
     ax.set_ylim(-1, 1)
     ax.set_zlim(0, 1)
     ax.set_box_aspect((2, 2, 1), zoom=1.15)
-    ax.view_init(*_SEEN_FROM)
+    ax.view_init(*_VIEWER_DEG)
     for axis, name in ((ax.xaxis, "x"), (ax.yaxis, "y"), (ax.zaxis, "normal")):
         axis.set_ticks([])
         axis.set_pane_color((1, 1, 1, 0))

@@ -1,4 +1,4 @@
-"""How the pictures look, and how they are written: no setting outlives its `with` block."""
+"""Style of the pictures and their files; no setting outlives its `with` block."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ _UNDATED: dict[str, dict[str, Any]] = {
 def style() -> Iterator[None]:
     """Matplotlib settings of these pictures for the length of a `with` block.
 
-    Readable in print at 9 to 10 inches width and by the colour-blind.
+    The pictures can be read in print, 9 to 10 inches wide, and by the colour-blind.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def save(
     Parameters
     ----------
     figure : Figure
-        It keeps its own size.
+        The figure; it has the same size afterwards.
     path : path
         The suffix, .png, .pdf or .svg, decides the format.
     size : tuple of float, optional
@@ -159,7 +159,7 @@ def save(
     check_size(size, dpi)
     if path.is_dir():
         raise ConfigurationError(f"{path}: is a folder; give the name of a file.", value=path)
-    own = figure.get_size_inches()
+    width, height = figure.get_size_inches()
     with style(), atomic_path(path) as temporary, warnings.catch_warnings():
         if size is not None:
             figure.set_size_inches(size)
@@ -171,11 +171,11 @@ def save(
         except UserWarning:
             raise ConfigurationError(
                 f"the picture's labels leave no room for its panels at {_inches(figure)}; give a "
-                f"larger --size (drawn for {own[0]:.3g} x {own[1]:.3g} inches).",
+                f"larger --size (drawn for {width:.3g} x {height:.3g} inches).",
                 value=size,
             ) from None
         finally:
-            figure.set_size_inches(own)
+            figure.set_size_inches(width, height)
 
 
 def _inches(figure: Figure) -> str:
@@ -196,18 +196,18 @@ def parse_size(text: str) -> tuple[float, float]:
     >>> parse_size("6.4x4"), parse_size("254x127mm")
     ((6.4, 4.0), (10.0, 5.0))
     """
-    found = re.fullmatch(r"\s*([\d.]+)\s*x\s*([\d.]+)\s*(in|mm|cm)?\s*", text.lower())
+    match = re.fullmatch(r"\s*([\d.]+)\s*x\s*([\d.]+)\s*(in|mm|cm)?\s*", text.lower())
     try:
-        edges = [float(edge) for edge in found.groups()[:2]] if found else []
+        edges = [float(edge) for edge in match.groups()[:2]] if match else []
     except ValueError:
         edges = []
-    if found is None or not edges:
+    if match is None or not edges:
         raise ConfigurationError(
             f"--size {text!r} is not WIDTHxHEIGHT; write it in inches as 6.4x4, or with a unit as "
             "160x100mm.",
             value=text,
         )
-    scale = UNITS[found[3] or "in"]
+    scale = UNITS[match[3] or "in"]
     size = edges[0] / scale, edges[1] / scale
     check_size(size)
     return size
@@ -262,6 +262,6 @@ def unit_text(unit: str) -> str:
     return "°" if unit == "deg" else unit
 
 
-def nothing_to_draw(what: str) -> DataError:
+def nothing_to_draw(reason: str) -> DataError:
     """The error of a panel that has no content."""
-    return DataError(f"there is nothing to draw: {what}.")
+    return DataError(f"there is nothing to draw: {reason}.")

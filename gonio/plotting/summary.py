@@ -31,7 +31,7 @@ def summary(
     *,
     truth: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Everything about a measurement and its fit on one page.
+    """Draw a measurement and its fit on one page.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def summary(
     draws : path or xarray.Dataset, optional
         The posterior's draws, netCDF, or as `read_draws` gives them.
     truth : mapping of str to float, optional
-        Known values of the parameters, angles in radians; those that the fit names as its source's
-        where not given.
+        True values of the parameters, angles in radians. Where not given, those that the fit
+        records for its source.
 
     Returns
     -------
@@ -157,14 +157,14 @@ def _heading(
     samples: BRDFSamples | None,
     session: Session | None,
 ) -> None:
-    """Material, instrument and model; below, in grey, how good the fit is."""
+    """Material, instrument and model; below, in grey, the quality of the fit."""
     title, second = _heading_text(fit, samples, session)
     part.text(0.012, 0.95, title, ha="left", va="top", fontsize=12, fontweight="bold")
     part.text(0.012, 0.42, second, ha="left", va="top", fontsize=8, color=GREY)
     if fit is not None and not fit.ok:
-        what = "the fit" if fit.status != "converged" else "the posterior"
+        stage = "the fit" if fit.status != "converged" else "the posterior"
         part.text(
-            0.988, 0.95, f"{what} has not converged", ha="right", va="top", fontsize=10,
+            0.988, 0.95, f"{stage} has not converged", ha="right", va="top", fontsize=10,
             color=VERMILLION, fontweight="bold",
         )  # fmt: skip
 
@@ -172,21 +172,21 @@ def _heading(
 def _heading_text(
     fit: FitResult | None, samples: BRDFSamples | None, session: Session | None
 ) -> tuple[str, str]:
-    known: dict[str, Any] = dict(fit.source if fit else samples.metadata if samples else {})
+    source: dict[str, Any] = dict(fit.source if fit else samples.metadata if samples else {})
     if session is not None:
-        known = {
+        source = {
             "sample": session.metadata.sample,
             "instrument": session.metadata.instrument,
-            **known,
+            **source,
         }
-    sample = known.get("sample")
-    name = str(sample).replace("_", " ") if sample else str(known.get("path") or "BRDF samples")
-    title = name + (f" on {known['instrument']}" if known.get("instrument") else "")
+    sample = source.get("sample")
+    name = str(sample).replace("_", " ") if sample else str(source.get("path") or "BRDF samples")
+    title = name + (f" on {source['instrument']}" if source.get("instrument") else "")
     facts = []
     if fit is not None:
         title += f": {models.of_fit(fit).title}"
         facts += [f"{_grouped(fit.n_samples)} samples"]
-        if fit.weights == "sd":  # else it has a unit and no meaning of its own
+        if fit.weights == "sd":  # else chi-squared has a unit and cannot be judged by itself
             facts.append(f"χ²/dof {_three_digits(fit.chi2 / fit.dof)}")
         if fit.posterior is not None:
             facts.append(f"posterior: {_grouped(fit.posterior.ess)} effective draws")
@@ -212,8 +212,8 @@ def _table(part: SubFigure, fit: FitResult, truth: Mapping[str, float] | None) -
     if truth:
         head += ["true", "difference / u"]
     body = []
-    for name, own in fit.parameters.items():
-        estimate = own.in_file_units()
+    for name, fitted in fit.parameters.items():
+        estimate = fitted.in_file_units()
         q = model.parameter(name)
         line = [symbol(q), q.meaning, recovered(estimate)]
         if truth:

@@ -4,8 +4,8 @@ L_r(r) = int f(i, r) L_i(i) cos(theta_i) dw_i
 
 Light from a solid angle is summed by two draws for each sample of a pixel, one towards the light
 and one as the surface reflects, both divided by the sum of their densities (Veach & Guibas 1995,
-the balance heuristic of their eq. (14) with one draw of each): what one of the two is bad at, the
-other finds.
+the balance heuristic of their eq. (14) with one draw of each): where one of the two has a large
+variance, the other has a small one.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from gonio.rendering.shapes import Hits, hidden, trace
 
 Progress = Callable[[int, int], None]
 LARGEST = 8192  # pixels along an edge
-_TASK = 1 << 15  # rays that are worked on at a time: some MB
-_LIFT = 1e-6  # of the scene's extent: rays start so far above their surface
+_TASK = 1 << 15  # rays in one task: some MB
+_LIFT = 1e-6  # height above its surface at which a ray starts, over the scene's extent
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class _Surface:
         return dict(zip(self.model.names, self.p.tolist(), strict=True))
 
     def brdf(self, w_i: FloatArray, w_r: FloatArray) -> FloatArray:
-        """f of pairs (n, 3). What a formula gives below 0 is no light."""
+        """f of pairs (n, 3); negative values of a formula count as 0."""
         return np.maximum(self.model.evaluate(w_i, w_r, self.p, threads=1), 0.0)
 
 
@@ -84,16 +84,16 @@ def render(
         Rows and columns; the shorter edge of what the scene shows fits the picture.
     samples : int
         Rays for each pixel, a square number: one in each cell of a grid over the pixel, at a
-        place drawn by `seed`.
+        random position.
     turn : float
         Angle by which the brushed direction, the model's x axis, is turned on the surface about
         its normal, radians. At 0 it runs along circles of latitude of sphere, vase and block,
         horizontally on a cube and along x on a plane.
     bounces : int
-        How often light may go from one part of the scene to another before it comes to the
-        camera. 0 is direct light only.
+        Largest number of reflections between surfaces before the light reaches the camera. 0 is
+        direct light only.
     seed : int
-        Everything random follows from it, whatever the number of threads.
+        Seed of all random numbers; the picture does not depend on the number of threads.
     threads : int, optional
         All cores where not given.
     progress : callable, optional
@@ -102,8 +102,8 @@ def render(
     Returns
     -------
     ndarray, shape (rows, columns)
-        Radiance in the unit of the light, top row first. Where nothing is met it is what the
-        light shows in that direction, 0 for a distant lamp.
+        Radiance in the unit of the light, top row first. Where a ray meets no surface, it is
+        the radiance of the light in that direction, 0 for a distant lamp.
 
     Raises
     ------
@@ -112,8 +112,8 @@ def render(
 
     Notes
     -----
-    Surfaces are lit on the side from which they are seen. A value of f below zero, which the
-    approximations of Oren and Nayar have at grazing directions, counts as 0 here and only here.
+    Surfaces are lit on the side that faces the camera. Negative values of f, which the
+    approximations of Oren and Nayar have at grazing directions, count as 0 in this module only.
 
     Examples
     --------
@@ -179,10 +179,10 @@ def _rows(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Radiance of some rows of the picture."""
-    x, y = _places(surface.scene, size, rows, samples, rng)
+    x, y = _positions(surface.scene, size, rows, samples, rng)
     origin, along = camera.rays(surface.scene, x, y)
     hits = trace(surface.scene.shapes, origin, along, surface.turn)
-    lamp = light.seen(origin, along)
+    lamp = light.incoming(origin, along)
     radiance = np.where(hits.distance > lamp.distance, lamp.radiance, 0.0)
     radiance = np.where(hits.met, radiance, lamp.radiance)
     onto = np.flatnonzero(hits.met & ~(hits.distance > lamp.distance))
@@ -193,18 +193,18 @@ def _rows(
     return np.asarray(radiance.reshape(shape).mean(axis=2))
 
 
-def _places(
+def _positions(
     scene: Scene,
     size: tuple[int, int],
     rows: tuple[int, int],
     samples: int,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """Right and up from the middle of the picture, one place in each cell of each pixel's grid."""
+    """Positions right and up from the picture's middle, one in each cell of each pixel's grid."""
     pitch = max(scene.extent[0] / size[1], scene.extent[1] / size[0])
     k = math.isqrt(samples)
     shape = (rows[1] - rows[0], size[1], samples)
-    # One sample looks through the middle of its pixel.
+    # A single sample lies in the middle of its pixel.
     jitter = rng.random((2, *shape)) if samples > 1 else np.full((2, *shape), 0.5)
     cell = np.arange(samples)
     row, column = np.arange(*rows)[:, None, None], np.arange(size[1])[None, :, None]
@@ -222,7 +222,7 @@ def _reflected(
     bounces: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Radiance that n places send along `back` (n, 3), light from other surfaces included."""
+    """Radiance of n points along `back` (n, 3), with the light from other surfaces."""
     total, weight = np.zeros(len(back)), np.ones(len(back))
     index = np.arange(len(back))
     for bounce in range(bounces + 1):
@@ -232,22 +232,22 @@ def _reflected(
         if not len(index):
             break
         point = hits.point + _LIFT * max(surface.scene.extent) * hits.frame[:, :, 2]
-        place = replace(hits, point=point)
-        # Beyond the first place the cells of the pixel have lost their order.
+        start = replace(hits, point=point)
+        # After the first reflection the samples no longer follow the cells of the pixel.
         cells = samples if bounce == 0 else 1
-        total[index] += weight * _direct(surface, light, place, w_r, cells, rng)
+        total[index] += weight * _direct(surface, light, start, w_r, cells, rng)
         if bounce == bounces:
             break
         w_i = drawn(surface.model.lobes, surface.named, w_r, rng.random((3, len(w_r))))
         density = mixed_density(surface.model.lobes, surface.named, w_r, w_i)
-        kept = density > 0
-        f = surface.brdf(w_i[kept], w_r[kept])
-        weight = weight[kept] * f * w_i[kept, 2] / density[kept]
-        along = _out_of(hits.frame[kept], w_i[kept])
-        hits = trace(surface.scene.shapes, point[kept], along, surface.turn)
-        onto = hits.met & (hits.distance < light.seen(point[kept], along).distance)
+        possible = density > 0
+        f = surface.brdf(w_i[possible], w_r[possible])
+        weight = weight[possible] * f * w_i[possible, 2] / density[possible]
+        along = _out_of(hits.frame[possible], w_i[possible])
+        hits = trace(surface.scene.shapes, point[possible], along, surface.turn)
+        onto = hits.met & (hits.distance < light.incoming(point[possible], along).distance)
         hits, back = _at(hits, onto), -along[onto]
-        index, weight = index[kept][onto], weight[onto]
+        index, weight = index[possible][onto], weight[onto]
     return total
 
 
@@ -271,12 +271,12 @@ def _direct(
     u = np.concatenate([rng.random((1, n)), _stratified(n, samples, rng)])
     w_i = drawn(surface.model.lobes, surface.named, w_r, u)
     density = _density(surface, w_r, w_i)
-    found = light.seen(hits.point, _out_of(hits.frame, w_i))
-    return total + _part(surface, hits, found, w_i, w_r, found.density + density)
+    lamp = light.incoming(hits.point, _out_of(hits.frame, w_i))
+    return total + _part(surface, hits, lamp, w_i, w_r, lamp.density + density)
 
 
 def _density(surface: _Surface, w_r: FloatArray, w_i: FloatArray) -> FloatArray:
-    """With which the surface, seen along w_r, draws directions of light: by reciprocity."""
+    """Density in which the surface draws directions of light for the viewer w_r, by reciprocity."""
     return mixed_density(surface.model.lobes, surface.named, w_r, w_i)
 
 
@@ -312,7 +312,7 @@ def _stratified(n: int, samples: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _into(frame: FloatArray, v: FloatArray) -> FloatArray:
-    """Vectors (n, 3) of the scene in the frame of the surface at n places."""
+    """Vectors (n, 3) of the scene in the frame of the surface at n points."""
     return np.asarray(np.einsum("nij,ni->nj", frame, v))
 
 

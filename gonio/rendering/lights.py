@@ -1,7 +1,7 @@
-"""What lights a scene: a distant lamp, a rectangle, an environment.
+"""Lights of a scene: a distant lamp, a rectangle, an environment.
 
-A light can be asked for a direction towards it, with the density in which such directions come,
-and for what it sends along a given direction: what multiple importance sampling needs.
+A light draws directions towards itself, with their density, and gives its radiance along any
+direction. Multiple importance sampling needs both.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Towards(NamedTuple):
     distance : ndarray, shape (n,)
         inf for a distant light.
     radiance : ndarray, shape (n,)
-        What arrives; for a light that is one direction the irradiance across the beam.
+        Incoming radiance; for a light of one direction, the irradiance across the beam.
     density : ndarray, shape (n,)
-        Probability density of the direction, sr^-1; 0 where the light cannot be seen from there.
+        Probability density of the direction, sr^-1; 0 where no light comes from it.
     """
 
     along: FloatArray
@@ -48,8 +48,8 @@ class Light(ABC):
         """One direction for each point (n, 3), from numbers u (2, n) uniform in [0, 1)."""
 
     @abstractmethod
-    def seen(self, point: FloatArray, along: FloatArray) -> Towards:
-        """What is seen from points along given directions (n, 3), and its density in `draw`."""
+    def incoming(self, point: FloatArray, along: FloatArray) -> Towards:
+        """Radiance at points from given directions (n, 3), and their density in `draw`."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Directional(Light):
         along = np.broadcast_to(unit_vectors(self.theta_i, self.phi_i), (n, 3))
         return Towards(along, np.full(n, np.inf), np.full(n, self.irradiance), np.ones(n))
 
-    def seen(self, point: FloatArray, along: FloatArray) -> Towards:
+    def incoming(self, point: FloatArray, along: FloatArray) -> Towards:
         n = len(point)
         return Towards(along, np.full(n, np.inf), np.zeros(n), np.zeros(n))
 
@@ -117,7 +117,7 @@ class Rectangle(Light):
         size : tuple of float
             Width and height.
         irradiance : float
-            What it gives on a surface at the origin that faces it.
+            Irradiance of a surface at the origin that faces it.
 
         Raises
         ------
@@ -155,12 +155,14 @@ class Rectangle(Light):
         return float(np.linalg.norm(np.cross(self.edge_u, self.edge_v)))
 
     def draw(self, point: FloatArray, u: FloatArray) -> Towards:
-        place = self.centre + np.outer(u[0] - 0.5, self.edge_u) + np.outer(u[1] - 0.5, self.edge_v)
-        way = place - point
+        position = (
+            self.centre + np.outer(u[0] - 0.5, self.edge_u) + np.outer(u[1] - 0.5, self.edge_v)
+        )
+        way = position - point
         distance = np.linalg.norm(way, axis=1)
         return self._from(way / distance[:, None], distance)
 
-    def seen(self, point: FloatArray, along: FloatArray) -> Towards:
+    def incoming(self, point: FloatArray, along: FloatArray) -> Towards:
         with np.errstate(divide="ignore", invalid="ignore"):
             t = ((self.centre - point) @ self._normal) / (along @ self._normal)
             off = point + t[:, None] * along - self.centre
@@ -172,7 +174,7 @@ class Rectangle(Light):
     def _from(self, along: FloatArray, distance: FloatArray) -> Towards:
         """An area dA at this distance is a solid angle cos dA/distance^2.
 
-        From behind the lamp is not there: it does not hide the scene from the camera.
+        The back of the lamp is transparent: it does not hide the scene from the camera.
         """
         cos = -(along @ self._normal)
         lit = (cos > 0) & np.isfinite(distance)
@@ -217,8 +219,8 @@ class Environment(Light):
 
     Notes
     -----
-    Directions are drawn by the light that comes from them: a pixel by its radiance times its solid
-    angle, and evenly within.
+    A pixel is drawn in proportion to its radiance times its solid angle; directions within it are
+    uniform.
 
     Examples
     --------
@@ -237,7 +239,7 @@ class Environment(Light):
             )
         if not np.all(np.isfinite(values)) or values.min() < 0:
             raise DataError(
-                "the environment holds a radiance that is negative or not finite; mend the map.",
+                "the environment holds a radiance that is negative or not finite; correct the map.",
                 value=float(np.nanmin(values)),
             )
         if values.max() <= 0:
@@ -284,7 +286,7 @@ class Environment(Light):
         pixel = np.searchsorted(self._below, u[0], side="right")
         pixel = np.minimum(pixel, self._below.size - 1)
         row, column = np.divmod(pixel, columns)
-        # What is left of the first number places the direction within its pixel.
+        # The remainder of the first number is the position within the pixel.
         before = np.where(pixel > 0, self._below[pixel - 1], 0.0)
         within = np.clip((u[0] - before) / np.maximum(self._below[pixel] - before, 1e-300), 0, 1)
         up = self._cos[row] + within * (self._cos[row + 1] - self._cos[row])
@@ -294,7 +296,7 @@ class Environment(Light):
             self._density[row, column],
         )  # fmt: skip
 
-    def seen(self, point: FloatArray, along: FloatArray) -> Towards:
+    def incoming(self, point: FloatArray, along: FloatArray) -> Towards:
         row, column = self._pixel(along)
         return Towards(
             along, np.full(len(along), np.inf), self.radiance[row, column],

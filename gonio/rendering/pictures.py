@@ -2,8 +2,8 @@
 
 A PNG holds 8 bits a pixel on the sRGB curve: 255 [L/white] by the curve of IEC 61966-2-1, clipped
 at white. Where no white is given and a highlight would leave the rest of the picture nearly black,
-dark values are lifted first: v becomes ln(1 + a v) / ln(1 + a) with v = L/white. White and a stand
-in the picture's text.
+dark values are lifted first: v becomes ln(1 + a v) / ln(1 + a) with v = L/white. The picture's text
+states white and a.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ MIDDLE = (
     0.22  # linear grey value, 128 of 255 on the sRGB curve, that the median does not fall below
 )
 MOST_LIFT = 1e6
-BRIGHTEST = 99.5  # percentile of the lit pixels that is white where nothing else is said
+BRIGHTEST = 99.5  # percentile of the lit pixels that is white by default
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 red, green, blue
 
 
 def white_of(image: FloatArray) -> float:
-    """Radiance that a picture shows as white where nothing else is said.
+    """Radiance that a picture shows as white by default.
 
     Examples
     --------
@@ -149,7 +149,7 @@ def save_picture(
         How much a PNG lifts dark values; that of `lift_of` where neither it nor `white` is given,
         else 0.
     facts : mapping, optional
-        What a PNG and an EXR say about themselves, as one JSON document in their text.
+        Metadata of a PNG or an EXR, written as one JSON document.
 
     Raises
     ------
@@ -187,15 +187,15 @@ def png(image: FloatArray, white: float, facts: Mapping[str, Any], lift: float =
     }
     about = PngImagePlugin.PngInfo()
     about.add(b"sRGB", b"\0")
-    for key, words in text.items():
-        about.add_text(key, words)
+    for key, value in text.items():
+        about.add_text(key, value)
     file = io.BytesIO()
     Image.fromarray(pixels).save(file, "PNG", pnginfo=about, optimize=True)
     return file.getvalue()
 
 
 def tone_text(white: float, lift: float = 0.0) -> str:
-    """How radiance became a grey value, in words."""
+    """Sentence on the mapping from radiance to grey values."""
     lifted = f"dark values are lifted, ln(1 + {lift:.4g} v) with v = L/white; " if lift > 0 else ""
     return f"radiance {white:.6g} is white and more is clipped; {lifted}8 bits on the sRGB curve"
 
@@ -272,8 +272,8 @@ def read_map(path: str | Path) -> FloatArray:
     return np.asarray(image, float)
 
 
-def _unreadable(path: Path, why: str) -> DataError:
-    return DataError(f"{path}: cannot be read as a picture ({why}); write it again.", value=path)
+def _unreadable(path: Path, reason: str) -> DataError:
+    return DataError(f"{path}: cannot be read as a picture ({reason}); write it again.", value=path)
 
 
 def _read_pfm(path: Path) -> FloatArray:
@@ -295,12 +295,12 @@ def _read_hdr(path: Path) -> FloatArray:
     import cv2
 
     try:
-        found = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+        decoded = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
-        found = None
-    if found is None:
+        decoded = None
+    if decoded is None:
         raise _unreadable(path, "it is no Radiance picture, or damaged")
-    return np.asarray(found[:, :, ::-1], float)  # OpenCV has blue first
+    return np.asarray(decoded[:, :, ::-1], float)  # OpenCV has blue first
 
 
 def _read_npy(path: Path) -> FloatArray:
@@ -314,7 +314,7 @@ def _read_exr(path: Path) -> FloatArray:
     exr = _openexr(path)
     try:
         channels = exr.File(str(path), separate_channels=True).channels()
-    except Exception as error:  # what its bindings raise differs by fault
+    except Exception as error:  # its bindings raise many types
         raise _unreadable(path, str(error).strip() or type(error).__name__) from None
     names = ["R", "G", "B"] if "R" in channels else list(channels)[:1]
     return np.stack([np.asarray(channels[name].pixels, float) for name in names], axis=2)

@@ -72,15 +72,15 @@ class Room:
         x = ((np.arange(4 * n) + 0.5) / (4 * n) * 2 - 1) * self.wall_half_width
         z = (np.arange(n) + 0.5) / n * self.wall_height
         grid_x, grid_z = np.meshgrid(x, z)
-        place = np.stack([grid_x.ravel(), np.full(grid_x.size, self.wall_y), grid_z.ravel()], 1)
-        return place, 2 * self.wall_half_width * self.wall_height / (4 * n * n)
+        position = np.stack([grid_x.ravel(), np.full(grid_x.size, self.wall_y), grid_z.ravel()], 1)
+        return position, 2 * self.wall_half_width * self.wall_height / (4 * n * n)
 
-    def wall_radiance(self, place: FloatArray) -> FloatArray:
-        """Radiance of places (..., 3) of the wall: rho/pi times their irradiance by the lamp."""
-        total = np.zeros(place.shape[:-1])
+    def wall_radiance(self, position: FloatArray) -> FloatArray:
+        """Radiance at positions (..., 3) of the wall: rho/pi times their irradiance by the lamp."""
+        total = np.zeros(position.shape[:-1])
         parts, area = self.lamp_elements(3)
         for part in parts:
-            way = part - place
+            way = part - position
             r2 = np.sum(way * way, axis=-1)
             down, onto = np.maximum(way[..., 2], 0), np.maximum(-way[..., 1], 0)
             total += self.lamp_radiance * area * down * onto / r2**2
@@ -96,15 +96,15 @@ class Room:
     def _at(point: FloatArray, along: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         return point[..., 0] + t * along[..., 0], point[..., 1] + t * along[..., 1]
 
-    def seen(self, point: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def incoming(self, point: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radiance of the lamp and of the wall along rays from the plate; the lamp is in front."""
         lamp = self.meets_lamp(point, along)
         t = (self.wall_y - point[..., 1]) / _positive(along[..., 1])
-        place = point + t[..., None] * along
-        wall = (np.abs(place[..., 0]) <= self.wall_half_width) & (along[..., 1] > 0)
-        wall &= (place[..., 2] <= self.wall_height) & (along[..., 2] > 0) & ~lamp
+        position = point + t[..., None] * along
+        wall = (np.abs(position[..., 0]) <= self.wall_half_width) & (along[..., 1] > 0)
+        wall &= (position[..., 2] <= self.wall_height) & (along[..., 2] > 0) & ~lamp
         radiance = np.zeros(wall.shape)
-        radiance[wall] = self.wall_radiance(place[wall])
+        radiance[wall] = self.wall_radiance(position[wall])
         return np.where(lamp, self.lamp_radiance, 0.0), radiance
 
 
@@ -125,7 +125,7 @@ class PlatePicture:
     rays : int
         Rays for each pixel, those to parts of the lamp included.
     seconds : float
-        How long it took on this machine, for information.
+        Time that the picture took on this machine.
     """
 
     radiance: FloatArray
@@ -152,7 +152,7 @@ def plate(
     ----------
     method : {"deterministic", "monte_carlo", "hybrid", "double_counted"}
         Eq. (6) without its sampled term; every ray drawn as the surface reflects; eq. (6); and
-        eq. (6) in which rays that meet the lamp are counted all the same.
+        eq. (6) with the rays that meet the lamp counted too.
     model : Model or str
         One with rho_d and a lobe of amplitude rho_s.
     p : mapping, optional
@@ -195,7 +195,7 @@ def plate(
     model, vector = _lobed(model, p)
     _check_numbers(size, n, lamp_parts)
     room, start = room or Room(), time.perf_counter()
-    point, back = _places(room, size)
+    point, back = _pixel_positions(room, size)
     if method == "monte_carlo":
         terms = _drawn(room, model, vector, point, back, n, np.random.default_rng(seed))
         value, rays = terms.mean(axis=0), n
@@ -222,7 +222,7 @@ def plate_reference(
     lamp_parts: int = 12,
     wall_parts: int = 24,
 ) -> FloatArray:
-    """The plate by quadrature over lamp and wall, to which the methods are compared.
+    """The plate by quadrature over lamp and wall, as a reference for the methods.
 
     Parameters
     ----------
@@ -234,19 +234,19 @@ def plate_reference(
     Returns
     -------
     ndarray, shape (size, size)
-        Radiance; no randomness in it.
+        Radiance, free of noise.
     """
     model, vector = _lobed(model, p)
     room = room or Room()
-    point, back = _places(room, size)
+    point, back = _pixel_positions(room, size)
     value = _lamps(room, model, vector, point, back, lamp_parts)
-    places, area = room.wall_elements(wall_parts)
-    radiance = room.wall_radiance(places)
-    for place, own in zip(places, radiance, strict=True):
-        along, solid_angle = _towards(point, place, area, np.array([0.0, -1.0, 0.0]))
+    positions, area = room.wall_elements(wall_parts)
+    radiance = room.wall_radiance(positions)
+    for position, emitted in zip(positions, radiance, strict=True):
+        along, solid_angle = _towards(point, position, area, np.array([0.0, -1.0, 0.0]))
         f = model.evaluate(along, back, vector)
         open_ = ~room.meets_lamp(point, along)
-        value += own * open_ * f * along[:, 2] * solid_angle
+        value += emitted * open_ * f * along[:, 2] * solid_angle
     return value.reshape(size, size)
 
 
@@ -268,7 +268,7 @@ def _check_numbers(size: int, n: int, lamp_parts: int) -> None:
             raise ConfigurationError(f"{name} = {value}; it must be 1 or more.", value=value)
 
 
-def _places(room: Room, size: int) -> tuple[FloatArray, FloatArray]:
+def _pixel_positions(room: Room, size: int) -> tuple[FloatArray, FloatArray]:
     """Middles (n, 3) of the pixels on the plate, far row first, and the viewer's direction."""
     step = ((np.arange(size) + 0.5) / size * 2 - 1) * room.half_plate
     x, y = np.meshgrid(step, step[::-1])
@@ -277,10 +277,10 @@ def _places(room: Room, size: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _towards(
-    point: FloatArray, place: FloatArray, area: float, normal: FloatArray
+    point: FloatArray, position: FloatArray, area: float, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Directions (n, 3) from points to one part of lamp or wall, and the solid angle it fills."""
-    way = place - point
+    way = position - point
     r2 = np.sum(way * way, axis=1)
     along = way / np.sqrt(r2)[:, None]
     return along, np.maximum(-(along @ normal), 0) * area / r2
@@ -290,10 +290,10 @@ def _lamps(
     room: Room, model: Model, p: FloatArray, point: FloatArray, back: FloatArray, parts: int
 ) -> FloatArray:
     """sum_i L_i omega_i cos(theta_i) rho_bd of eq. (6)."""
-    places, area = room.lamp_elements(parts)
+    positions, area = room.lamp_elements(parts)
     total = np.zeros(len(point))
-    for place in places:
-        along, solid_angle = _towards(point, place, area, np.array([0.0, 0.0, -1.0]))
+    for position in positions:
+        along, solid_angle = _towards(point, position, area, np.array([0.0, 0.0, -1.0]))
         f = model.evaluate(along, back, p)
         total += room.lamp_radiance * solid_angle * along[:, 2] * f
     return total
@@ -301,11 +301,11 @@ def _lamps(
 
 def _irradiance(room: Room, point: FloatArray) -> FloatArray:
     """I of eq. (6), by the wall alone."""
-    places, area = room.wall_elements(12)
+    positions, area = room.wall_elements(12)
     total = np.zeros(len(point))
-    for place, own in zip(places, room.wall_radiance(places), strict=True):
-        along, solid_angle = _towards(point, place, area, np.array([0.0, -1.0, 0.0]))
-        total += own * ~room.meets_lamp(point, along) * along[:, 2] * solid_angle
+    for position, emitted in zip(positions, room.wall_radiance(positions), strict=True):
+        along, solid_angle = _towards(point, position, area, np.array([0.0, -1.0, 0.0]))
+        total += emitted * ~room.meets_lamp(point, along) * along[:, 2] * solid_angle
     return total
 
 
@@ -320,7 +320,7 @@ def _drawn(
 ) -> FloatArray:
     """Radiance (n, pixels) along rays drawn as the whole surface reflects, times their weights."""
     draws = model.sample(np.broadcast_to(back, (n, *back.shape)), p, rng)
-    lamp, wall = room.seen(np.broadcast_to(point, draws.w_r.shape), draws.w_r)
+    lamp, wall = room.incoming(np.broadcast_to(point, draws.w_r.shape), draws.w_r)
     return draws.weight * (lamp + wall)
 
 
@@ -340,7 +340,7 @@ def _lobe_rays(
     lobe = p.copy()
     lobe[model.names.index("rho_d")] = 0.0
     draws = model.sample(np.broadcast_to(back, (n, *back.shape)), lobe, rng)
-    lamp, wall = room.seen(np.broadcast_to(point, draws.w_r.shape), draws.w_r)
+    lamp, wall = room.incoming(np.broadcast_to(point, draws.w_r.shape), draws.w_r)
     weight = draws.weight
     if weights == "printed":
         weight = np.where(draws.w_r[..., 2] > 0, lobe[model.names.index("rho_s")], 0.0)

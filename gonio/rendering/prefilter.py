@@ -1,4 +1,4 @@
-"""Environment maps that are filtered once and looked up afterwards, and what that costs.
+"""Environment maps that are filtered once and looked up afterwards, and their error.
 
 Losasso's last section: all lighting is computed off-line for each direction and fetched at run
 time. For a BRDF this takes a table over normal and viewer; with one over a single direction the
@@ -7,7 +7,7 @@ viewer is taken to look along the normal, and along the mirror direction of the 
 M(d) = int f(i, d; n = d) L(i) cos(theta_i) dw_i,    L_r(n, r) ~ M(R) albedo(theta_r)/albedo(0)
 
 with R = 2 (n.r) n - r for surfaces that shine, and n in place of R for matt ones. Both are right
-where the viewer looks along the normal; elsewhere a lobe becomes longer than the table has it.
+where the viewer looks along the normal; elsewhere the true lobe is longer than that of the table.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from gonio.rendering.lights import Environment
 About = Literal["mirror", "normal"]
 _ALBEDO_AT = np.radians([0, 15, 30, 40, 50, 60, 70, 75, 80, 84, 87, 89])
 _TURNS = 8  # of an anisotropic surface about its normal, over which a map is averaged
-_MOST_PIXELS = 1 << 20  # pairs that are worked on at a time
+_MOST_PIXELS = 1 << 20  # pairs of directions in one task
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Prefiltered:
     albedo_at: FloatArray
 
     def radiance(self, normal: FloatArray, back: FloatArray) -> FloatArray:
-        """Approximate radiance of places with these normals, towards the viewer.
+        """Approximate radiance of points with these normals, towards the viewer.
 
         Parameters
         ----------
@@ -115,14 +115,14 @@ def prefilter(
     vector = model.vector(p or {})
     normal = Environment(np.ones((rows, 2 * rows))).directions().reshape(-1, 3)
     turns = np.arange(1 if model.claims.isotropic else _TURNS) * np.pi / _TURNS
-    found = np.mean(
+    mean = np.mean(
         [outgoing(environment, model, vector, normal, normal, turn=t, threads=threads)
          for t in turns],
         axis=0,
     )  # fmt: skip
     named = dict(zip(model.names, vector.tolist(), strict=True))
     albedo = np.array([directional_albedo(model, named, t, rtol=1e-4).value for t in _ALBEDO_AT])
-    table = Environment(np.maximum(found, 0.0).reshape(rows, 2 * rows))
+    table = Environment(np.maximum(mean, 0.0).reshape(rows, 2 * rows))
     return Prefiltered(table, about, albedo / (albedo[0] or 1.0), _ALBEDO_AT)
 
 
@@ -136,7 +136,7 @@ def outgoing(
     turn: float = 0.0,
     threads: int | None = None,
 ) -> FloatArray:
-    """Radiance of places with these normals by the sum over every pixel of the environment.
+    """Radiance of points with these normals, by the sum over every pixel of the environment.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def outgoing(
     total = np.empty(len(normal))
 
     def work(first: int, last: int) -> None:
-        w_i = along @ frame[first:last]  # (places, pixels, 3)
+        w_i = along @ frame[first:last]  # (points, pixels, 3)
         f = model.evaluate(w_i, w_r[first:last, None, :], p, threads=1)
         total[first:last] = (np.maximum(w_i[..., 2], 0) * f) @ flux
 
@@ -175,12 +175,12 @@ def outgoing(
 
 @dataclass(frozen=True)
 class PrefilterError:
-    """How far looked-up radiance is from the sum over the environment, on a sphere.
+    """Looked-up radiance beside the sum over the environment, on a sphere.
 
     Parameters
     ----------
     theta_r : ndarray
-        Angle between normal and viewer of each place, radians.
+        Angle between normal and viewer at each point, radians.
     exact, approximate : ndarray
         Radiance by the sum and by the table.
     """
@@ -205,14 +205,14 @@ def prefilter_error(
     rows: int = 24,
     n: int = 400,
 ) -> PrefilterError:
-    """The table against the sum, on a sphere seen from far in front.
+    """Compare the table with the sum, on a sphere and a distant viewer in front of it.
 
     Parameters
     ----------
     environment, model, p, about, rows
         As in `prefilter`.
     n : int
-        Places, spread evenly over the picture of the sphere out to theta_r = 80 deg.
+        Number of points, spread evenly over the picture of the sphere out to theta_r = 80 deg.
 
     Returns
     -------
@@ -232,7 +232,7 @@ def prefilter_error(
 def _between(table: Environment, along: FloatArray) -> FloatArray:
     """Radiance between the middles of pixels, linear in both."""
     rows, columns = table.radiance.shape
-    # Rows stand for the middle of their solid angle, as `directions` has it.
+    # A row stands for the middle of its solid angle, as in `directions`.
     up = np.cos(np.linspace(0, np.pi, rows + 1))
     polar = np.arccos(np.clip((up[1:] + up[:-1]) / 2, -1, 1))
     row = np.interp(np.arccos(np.clip(along[..., 1], -1, 1)), polar, np.arange(rows))

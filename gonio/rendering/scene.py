@@ -24,16 +24,16 @@ FOV = math.radians(30.0)
 
 @dataclass(frozen=True)
 class Scene:
-    """Shapes of one material, and from where they are seen and lit if nothing else is said.
+    """Shapes of one material, with a default view and a default light.
 
     Parameters
     ----------
     name, title : str
     shapes : sequence of Shape
     extent : tuple of float
-        Width and height of what a picture shows, in the unit of the scene.
+        Width and height that a picture shows, in the unit of the scene.
     centre : tuple of float
-        What the camera looks at.
+        Point at which the camera looks.
     view : tuple of float
         theta_r, phi_r of the camera, radians.
     light : tuple of float
@@ -81,7 +81,7 @@ class Camera:
             )
 
     def rays(self, scene: Scene, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Origins and directions (n, 3) of rays through places of the picture.
+        """Origins and directions (n, 3) of rays through positions in the picture.
 
         Parameters
         ----------
@@ -194,11 +194,11 @@ def scene(name: str, *, floor: bool = False) -> Scene:
     """
     if name not in _SCENES:
         raise unknown_name("scene", name, SCENES)
-    made = _SCENES[name]()
+    chosen = _SCENES[name]()
     if not floor:
-        return made
+        return chosen
     if name == "plane":
         raise ConfigurationError("the scene plane has no floor; choose sphere, vase or objects.")
     height = {"sphere": -1.0, "vase": -1.55, "objects": -1.6}[name]
     under = Plate(centre=np.array([0.0, height, 0.0]), axes=UPRIGHT)
-    return Scene(**{**made.__dict__, "shapes": (*made.shapes, under)})
+    return Scene(**{**chosen.__dict__, "shapes": (*chosen.shapes, under)})

@@ -1,7 +1,7 @@
-"""Shapes that rays meet by a formula: quadrics of revolution, discs, boxes and plates.
+"""Shapes whose intersection with a ray is a formula: quadrics of revolution, boxes, plates.
 
-Every shape knows where a ray meets it, its outward normal there, and the direction in which it is
-brushed: the x axis of the sample's frame in which a model is evaluated.
+Every shape gives the point where a ray meets it, the outward normal there, and the direction in
+which it is brushed: the x axis of the sample's frame in which a model is evaluated.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from gonio.geometry import FloatArray
 
-NEAR = 1e-7  # distance along a ray below which it has not left its own surface
+NEAR = 1e-7  # distance along a ray up to which a hit is on the surface where it starts
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # z of the shape is up, y
 
 
@@ -72,13 +72,13 @@ class Piece:
         p = o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1] - d[:, 2] * (self.b / 2 + self.c * o[:, 2])
         s = o[:, 0] ** 2 + o[:, 1] ** 2 - self.a - o[:, 2] * (self.b + self.c * o[:, 2])
         root = np.sqrt(np.maximum(p * p - q * s, 0))
-        # The root that loses no digits, then the other from their product s/q.
+        # First the root without cancellation, then the other from their product s/q.
         w = -p - np.copysign(root, p)
         with np.errstate(divide="ignore", invalid="ignore"):
-            both = np.stack([w / q, s / w])
-        z = o[:, 2] + both * d[:, 2]
-        inside = (p * p >= q * s) & (both > NEAR) & (z >= self.low) & (z <= self.high)
-        return np.asarray(np.where(inside, both, np.inf).min(axis=0))
+            roots = np.stack([w / q, s / w])
+        z = o[:, 2] + roots * d[:, 2]
+        inside = (p * p >= q * s) & (roots > NEAR) & (z >= self.low) & (z <= self.high)
+        return np.asarray(np.where(inside, roots, np.inf).min(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class Revolution(Shape):
     pieces : sequence of Piece
         From the bottom to the top. Where they end on a circle, a flat disc closes the shape.
     open_top : bool
-        Leave the upper disc out: one sees the inside of a thin wall.
+        Leave the upper disc out, which shows the inside of a thin wall.
     """
 
     pieces: Sequence[Piece]
@@ -101,8 +101,8 @@ class Revolution(Shape):
         ends = [(self.pieces[0], self.pieces[0].low, -1.0)]
         if not self.open_top:
             ends += [(self.pieces[-1], self.pieces[-1].high, 1.0)]
-        found = [(z, k.a + k.b * z + k.c * z * z, up) for k, z, up in ends]
-        return [cap for cap in found if cap[1] > 1e-12]
+        caps = [(z, k.a + k.b * z + k.c * z * z, up) for k, z, up in ends]
+        return [cap for cap in caps if cap[1] > 1e-12]
 
     def _meet(self, o: FloatArray, d: FloatArray) -> FloatArray:
         t = np.min([piece.meet(o, d) for piece in self.pieces], axis=0)
@@ -116,16 +116,18 @@ class Revolution(Shape):
     def _frame(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y, z = point.T
         normal = np.zeros_like(point)
-        off = np.full(len(point), np.inf)
+        smallest = np.full(len(point), np.inf)
         for piece in self.pieces:
             # Of the pieces that reach this height, the one on whose surface the point lies.
-            here = np.abs(x * x + y * y - piece.a - z * (piece.b + piece.c * z))
-            here = np.where((z < piece.low - 1e-9) | (z > piece.high + 1e-9), np.inf, here)
+            deviation = np.abs(x * x + y * y - piece.a - z * (piece.b + piece.c * z))
+            deviation = np.where(
+                (z < piece.low - 1e-9) | (z > piece.high + 1e-9), np.inf, deviation
+            )
             slope = np.broadcast_to(-(piece.b / 2 + piece.c * z), x.shape)
-            normal[here < off] = np.stack([x, y, slope], axis=1)[here < off]
-            off = np.minimum(here, off)
+            normal[deviation < smallest] = np.stack([x, y, slope], axis=1)[deviation < smallest]
+            smallest = np.minimum(deviation, smallest)
         for height, _, up in self._caps():
-            flat = (np.abs(z - height) < 1e-9) & (off > 1e-9)
+            flat = (np.abs(z - height) < 1e-9) & (smallest > 1e-9)
             normal[flat] = [0.0, 0.0, up]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         return normal, _around_z(x, y)
@@ -175,7 +177,7 @@ class Box(Shape):
 
 @dataclass(frozen=True, kw_only=True)
 class Plate(Shape):
-    """A flat rectangle about the origin, seen from both sides, brushed along its x axis.
+    """A flat rectangle about the origin, visible from both sides, brushed along its x axis.
 
     Parameters
     ----------
@@ -207,7 +209,7 @@ class Hits:
     Parameters
     ----------
     distance : ndarray, shape (n,)
-        inf where a ray meets nothing; the other fields then mean nothing.
+        inf where a ray meets nothing; the other fields are then undefined.
     point : ndarray, shape (n, 3)
     frame : ndarray, shape (n, 3, 3)
         Columns are the x, y and z axes of the sample: brushed direction, across it, normal. The
@@ -232,8 +234,8 @@ def trace(shapes: Sequence[Shape], origin: FloatArray, along: FloatArray, turn: 
     normal, brushed = np.zeros_like(point), np.zeros_like(point)
     normal[:, 2], brushed[:, 0] = 1.0, 1.0
     for k, shape in enumerate(shapes):
-        own = (nearest == k) & np.isfinite(distance)
-        normal[own], brushed[own] = shape.frame(point[own])
+        on_shape = (nearest == k) & np.isfinite(distance)
+        normal[on_shape], brushed[on_shape] = shape.frame(point[on_shape])
     facing = np.sum(normal * along, axis=1) <= 0
     return Hits(distance, point, _axes(np.where(facing[:, None], normal, -normal), brushed, turn))
 

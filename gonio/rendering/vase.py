@@ -31,7 +31,7 @@ def cross_section(
     theta_i : float
         Angle of the lamp to the right of the viewer, radians, in (-pi/2, pi/2).
     x : ndarray, optional
-        Places to the right of the axis in units of the radius, within (-1, 1); 401 where not
+        Positions to the right of the axis in units of the radius, within (-1, 1); 401 where not
         given.
 
     Returns
@@ -43,7 +43,7 @@ def cross_section(
     Raises
     ------
     ConfigurationError
-        If theta_i or a place is not within its range.
+        If theta_i or a position is out of range.
 
     Notes
     -----
@@ -70,7 +70,7 @@ def cross_section(
     x = np.sin(np.linspace(-HORIZON, HORIZON, 403)[1:-1]) if x is None else np.asarray(x, float)
     if not np.all(np.abs(x) < 1):
         raise ConfigurationError(
-            "a place is not on the cylinder: x lies between -1 and 1, in units of its radius.",
+            "a position is not on the cylinder: x lies between -1 and 1, in units of its radius.",
             value=x,
         )
     psi = np.arcsin(x)

@@ -15,7 +15,7 @@ DIGITS = 4
 
 @dataclass(frozen=True)
 class View:
-    """Traces and layout of one state of a chart, in plotly's own words."""
+    """Traces and layout of one state of a chart, as plotly names them."""
 
     label: str
     data: list[Trace]
@@ -31,7 +31,7 @@ class Chart:
     ident : str
         Its name in the page.
     chooses : str
-        What the views differ in, the label of the menu.
+        Label of the menu: the property by which the views differ.
     views : tuple of View
     caption : str
     height : int
@@ -39,10 +39,10 @@ class Chart:
     first : int
         The view that is shown first.
     min_width : int
-        Pixels below which it scrolls sideways in place of shrinking.
+        Smallest width in pixels; on a narrower screen the chart scrolls sideways.
     print_height : int
-        Most pixels on paper. Three charts of the usual height fit on a page of A4, so that none
-        leaves half a page empty behind it.
+        Largest height on paper, pixels. Three charts of the usual height fit on a page of A4, so
+        that none leaves half a page empty.
     """
 
     ident: str
@@ -56,7 +56,7 @@ class Chart:
 
 
 def short(values: ArrayLike, digits: int = DIGITS) -> list[Any]:
-    """Numbers with so many significant digits, nested as the array is.
+    """Numbers rounded to `digits` significant digits, nested as the array is.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What the data say: exchanges between parameters, profiles, structure of the residuals."""
+"""Identifiability of the parameters, profiles, and structure of the residuals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROFILED = 2000  # samples that profiles are computed from
 POINTS = 15
 HALF_WIDTH = 3.0  # of a profile, standard uncertainties
 AXES = 3
-PLACES = 10
+N_GROUPS = 10
 _COLOURS = [[0, BLUE], [0.5, "#dcdcdc"], [1, VERMILLION]]
 
 
@@ -37,49 +37,49 @@ def part(inputs: Inputs, put: Any) -> Markup:
     """The section of a report; empty where the fit has no diagnostics."""
     fit = inputs.fit
     identified = fit.diagnostics.get("identifiability")
-    found = fit.diagnostics.get("residuals")
-    if not identified or not found:
+    tests = fit.diagnostics.get("residuals")
+    if not identified or not tests:
         return Markup("")
     content: list[object] = [_summary(identified), *_identified(fit, identified)]
     content.append(put(profiles(inputs)))
-    for number, one in enumerate(found.get("parts") or [found], 1):
-        of = f", part {number}" if "parts" in found else ""
+    for number, one in enumerate(tests.get("parts") or [tests], 1):
+        of = f", part {number}" if "parts" in tests else ""
         content += [tag("h3", f"Structure of the residuals{of}"), *_structure(one, of)]
-    if "parts" not in found:
-        content.append(put(rings(found)))
+    if "parts" not in tests:
+        content.append(put(rings(tests)))
     return section("diagnosis", "What the data say", *content)
 
 
-def _summary(found: Mapping[str, Any]) -> Markup:
-    """What is not identified, and what would mend it, in words."""
-    lines = [str(cause) for cause in found["causes"]]
-    if found["mending"] is not None:
-        lines.append(str(found["mending"]["text"]))
+def _summary(identified: Mapping[str, Any]) -> Markup:
+    """What is not identified, and the suggested measurement."""
+    lines = [str(cause) for cause in identified["causes"]]
+    if identified["mending"] is not None:
+        lines.append(str(identified["mending"]["text"]))
     if not lines:
         return tag("p", "Every parameter that is free is identified by these data.")
     return tag("div", *(tag("p", line) for line in lines), class_="note", id="identified")
 
 
-def _identified(fit: FitResult, found: Mapping[str, Any]) -> list[Markup]:
+def _identified(fit: FitResult, identified: Mapping[str, Any]) -> list[Markup]:
     parts = []
-    known = correlation(fit)
-    if known is not None and known.names:
+    matrix = correlation(fit)
+    if matrix is not None and matrix.names:
         rows = [
             [name, *(_shade(r) for r in row)]
-            for name, row in zip(known.names, known.rows, strict=True)
+            for name, row in zip(matrix.names, matrix.rows, strict=True)
         ]
-        parts.append(table(["", *known.names], rows, known.of))
+        parts.append(table(["", *matrix.names], rows, matrix.of))
     rows = []
-    for name, own in fit.parameters.items():
-        estimate = own.in_file_units()
+    for name, fitted in fit.parameters.items():
+        estimate = fitted.in_file_units()
         unit = f" ({estimate.unit})" if estimate.unit else ""
-        figures = (found["alone"].get(name), found["bound"].get(name), estimate.stderr)
-        rows.append([name + unit, *(None if u is None else f"{u:.2g}" for u in figures)])
+        deviations = (identified["alone"].get(name), identified["bound"].get(name), estimate.stderr)
+        rows.append([name + unit, *(None if u is None else f"{u:.2g}" for u in deviations)])
     head = ["parameter", "if all others were known", "Cramér-Rao bound", "standard uncertainty"]
     parts.append(table(head, rows, "How well the data can tell each parameter"))
     rows = [
         [f"{axis_['information']:.2g}", _moved(fit, axis_["change"])]
-        for axis_ in found["axes"][:AXES]
+        for axis_ in identified["axes"][:AXES]
     ]
     caption = "Weakest directions; information is 1 where nothing is exchanged"
     parts.append(table(["information", "change along it"], rows, caption))
@@ -106,7 +106,7 @@ def _moved(fit: FitResult, change: Mapping[str, float]) -> str:
 
 
 def profiles(inputs: Inputs) -> Chart | None:
-    """Chi-squared along each parameter, the others at their best; None where it cannot be had."""
+    """Profile of chi-squared along each parameter; None where it cannot be computed."""
     fit, samples = inputs.fit, inputs.samples
     if samples is None or fit.parts or fit.nuisance or fit.noise_scale <= 0:
         return None
@@ -120,13 +120,13 @@ def profiles(inputs: Inputs) -> Chart | None:
     except GonioError:
         return None
     values = fit.parameters.items()
-    held = Constraints.of(
+    constraints = Constraints.of(
         model,
         {name: e.value for name, e in values if e.fixed and e.tied_to is None},
         {name: e.tied_to for name, e in values if e.tied_to is not None},
     )
-    if held:
-        problem = ReducedProblem.of(problem, held)
+    if constraints:
+        problem = ReducedProblem.of(problem, constraints)
     p = problem.vector({q.name: fit.parameters[q.name].value for q in problem.parameters})
     whole = problem.n
     problem = thinned(problem.reweighted(p), PROFILED)
@@ -140,7 +140,7 @@ def profiles(inputs: Inputs) -> Chart | None:
             continue
         low, high = estimate.interval_95
         middle, half = (low + high) / 2, (high - low) / 2 * HALF_WIDTH / 1.96
-        # Fewer samples have their minimum elsewhere: the profile is drawn about their own.
+        # Fewer samples have another minimum: the profile is drawn about that one.
         points = np.linspace(middle - half, middle + half, POINTS) + optimum.p[j] - p[j]
         points = np.unique(np.clip(np.append(points, optimum.p[j]), q.lower, q.upper))
         growth = (profile(minimum, j, points) - optimum.chi2) / unit
@@ -178,30 +178,30 @@ def _levels(name: str) -> dict[str, Any]:
             "shapes": lines, "showlegend": False}  # fmt: skip
 
 
-def _structure(found: Mapping[str, Any], of: str) -> list[Markup]:
-    """Tests and the groups that stand out."""
+def _structure(tests: Mapping[str, Any], of: str) -> list[Markup]:
+    """Tests for structure, and the groups of samples with the largest mean residuals."""
     rows: list[list[object]] = [
         [test["name"], f"{test['statistic']:.3g}", f"{test['p_value']:.2g}",
          f"{100 * test['share']:.1f} %"]
-        for test in found["tests"]
+        for test in tests["tests"]
     ]  # fmt: skip
-    line = str(found["line"])
-    parts = [tag("p", line[0].upper() + line[1:] + f"; {found['n']} samples examined.")]
+    line = str(tests["line"])
+    parts = [tag("p", line[0].upper() + line[1:] + f"; {tests['n']} samples examined.")]
     if not rows:
         return parts
     head = ["compared by", "statistic", "p", "share of the variance"]
     parts.append(table(head, rows, f"Tests for structure that noise would not have{of}"))
-    groups = [place for group in found["maps"].values() for place in group]
-    groups.sort(key=lambda place: -abs(place["z"]))
+    groups = [group for of_map in tests["maps"].values() for group in of_map]
+    groups.sort(key=lambda group: -abs(group["z"]))
     rows = [
         [
-            place["where"],
-            "all" if place["theta_i_deg"] is None else f"{place['theta_i_deg']:.0f}°",
-            place["n"],
-            f"{place['z']:+.1f}".replace("-", "−"),
-            _percent(place["relative"]),
+            group["where"],
+            "all" if group["theta_i_deg"] is None else f"{group['theta_i_deg']:.0f}°",
+            group["n"],
+            f"{group['z']:+.1f}".replace("-", "−"),
+            _percent(group["relative"]),
         ]
-        for place in groups[:PLACES]
+        for group in groups[:N_GROUPS]
     ]
     head = ["where", "θi", "samples", "z", "measured less fitted"]
     parts.append(table(head, rows, f"Largest mean residuals{of}; z is in units of their noise"))
@@ -212,21 +212,21 @@ def _percent(share: float | None) -> str | None:
     return None if share is None else f"{100 * share:+.3g} %".replace("-", "−")
 
 
-def rings(found: Mapping[str, Any]) -> Chart | None:
+def rings(tests: Mapping[str, Any]) -> Chart | None:
     """Mean residuals by angle from the mirror direction and incidence."""
-    name = next((key for key in found["maps"] if key.startswith("angle from")), None)
-    places = found["maps"][name] if name else []
-    if not places:
+    name = next((key for key in tests["maps"] if key.startswith("angle from")), None)
+    groups = tests["maps"][name] if name else []
+    if not groups:
         return None
-    across = list(dict.fromkeys(place["where"] for place in places))
+    across = list(dict.fromkeys(group["where"] for group in groups))
     across.sort(key=_first_number)
-    up = sorted({place["theta_i_deg"] for place in places})
+    up = sorted({group["theta_i_deg"] for group in groups})
     grid = np.full((len(up), len(across)), np.nan)
-    for place in places:
-        z = float(np.clip(place["z"], -10, 10))
-        grid[up.index(place["theta_i_deg"]), across.index(place["where"])] = z
+    for group in groups:
+        z = float(np.clip(group["z"], -10, 10))
+        grid[up.index(group["theta_i_deg"]), across.index(group["where"])] = z
     data: list[Trace] = [
-        {"type": "heatmap", "x": [_ring(words) for words in across],
+        {"type": "heatmap", "x": [_ring(label) for label in across],
          "y": [f"{t:.0f}°" for t in up], "z": short(grid, 3), "zmin": -5, "zmax": 5,
          "colorscale": _COLOURS, "colorbar": {"thickness": 12, "title": {"text": "z"}},
          "hovertemplate": "%{x}, θi %{y}: z = %{z}<extra></extra>"}
@@ -243,7 +243,7 @@ def rings(found: Mapping[str, Any]) -> Chart | None:
                  print_height=300)  # fmt: skip
 
 
-def _first_number(words: str) -> float:
+def _first_number(label: str) -> float:
     """For sorting: where a ring begins.
 
     Examples
@@ -251,11 +251,11 @@ def _first_number(words: str) -> float:
     >>> _first_number("within 1 deg of the mirror direction"), _first_number("3 to 4.5 deg")
     (-1.0, 3.0)
     """
-    first = words.split()[0]
+    first = label.split()[0]
     return -1.0 if first == "within" else float(first)
 
 
-def _ring(words: str) -> str:
+def _ring(label: str) -> str:
     """A ring as the label of an axis.
 
     Examples
@@ -263,5 +263,5 @@ def _ring(words: str) -> str:
     >>> _ring("within 1 deg of the mirror direction"), _ring("3 to 4.5 deg from the mirror")
     ('< 1', '3–4.5')
     """
-    parts = words.split()
+    parts = label.split()
     return f"< {parts[1]}" if parts[0] == "within" else f"{parts[0]}–{parts[2]}"

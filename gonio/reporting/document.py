@@ -1,4 +1,4 @@
-"""One HTML file with everything in it: no other file and no network are needed to read it."""
+"""One HTML file that contains everything: a reader needs no other file and no network."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def page(inputs: Inputs, stated: Statement | None = None) -> str:
     inputs : Inputs
         What `gather` found.
     stated : Statement, optional
-        Operator, dates, serial numbers and coverage; they stand in the page and nowhere else.
+        Operator, dates, serial numbers and coverage; only the page contains them.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def page(inputs: Inputs, stated: Statement | None = None) -> str:
         data of its charts, thinned.
     """
     body, charts = _body(inputs, stated or Statement())
-    scripts = [_plotly(), _own("report.js")]
+    scripts = [_plotly(), _resource("report.js")]
     hashes = " ".join(f"'sha256-{_digest(script)}'" for script in scripts)
     policy = (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; "
@@ -52,7 +52,7 @@ def page(inputs: Inputs, stated: Statement | None = None) -> str:
             '<meta name="color-scheme" content="light dark">',
             f'<meta name="generator" content="gonio {text(__version__)}">',
             tag("title", sections.title(inputs.fit)),
-            f"<style>\n{_own('report.css')}</style>",
+            f"<style>\n{_resource('report.css')}</style>",
         ]
     )
     blocks = "\n".join(f"<script>{script}</script>" for script in scripts)
@@ -74,21 +74,21 @@ def _body(inputs: Inputs, stated: Statement) -> tuple[Markup, list[Chart]]:
         charts.append(chart)
         return figure(chart)
 
-    found = _residuals(inputs)
+    residual = _residuals(inputs)
     missing = tag("p", _NO_SAMPLES, class_="note")
     slices = Markup("") if samples is None else put(lobe.slices(samples, fit))
     surface = missing if samples is None else put(lobe.surface(samples, fit))
     maps = missing
     histogram = Markup("")
-    if samples is not None and found is not None:
-        maps = put(residuals.maps(samples, found))
-        histogram = put(residuals.histogram(found))
+    if samples is not None and residual is not None:
+        maps = put(residuals.maps(samples, residual))
+        histogram = put(residuals.histogram(residual))
     parts = [
         sections.heading(inputs, stated),
         sections.parameters(fit, stated),
         section("lobe", "Measured and fitted lobe", sections.reference(fit), slices, surface),
         section("residual", "Residuals", maps),
-        section("goodness", "Goodness of fit", *sections.goodness(fit, found), histogram),
+        section("goodness", "Goodness of fit", *sections.goodness(fit, residual), histogram),
         diagnosis.part(inputs, put),
         section("posterior", "Posterior", sections.convergence(fit), *_posterior(inputs, put)),
         section(
@@ -112,7 +112,7 @@ def _residuals(inputs: Inputs) -> residuals.Residuals | None:
         return None
     try:
         return residuals.residuals(inputs.samples, inputs.fit)
-    except GonioError:  # fewer samples than parameters: no residual says anything
+    except GonioError:  # with fewer samples than parameters residuals mean nothing
         return None
 
 
@@ -128,7 +128,7 @@ def _posterior(inputs: Inputs, put: Put) -> list[Markup]:
 
 
 def figure(chart: Chart) -> Markup:
-    """The place of a chart, with a menu where there are several views."""
+    """Element that holds a chart, with a menu where there are several views."""
     menu = Markup("")
     if len(chart.views) > 1:
         options = [
@@ -153,8 +153,8 @@ def figure(chart: Chart) -> Markup:
 
 
 def _as_json(charts: list[Chart]) -> str:
-    """Data that no text in it can end: < is written as its number."""
-    plain = [
+    """JSON inside an element of HTML: < is escaped, so that no text ends the element."""
+    documents = [
         {
             "id": chart.ident,
             "print_height": min(chart.height, chart.print_height),
@@ -162,7 +162,7 @@ def _as_json(charts: list[Chart]) -> str:
         }
         for chart in charts
     ]
-    return json.dumps(plain, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return json.dumps(documents, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _plotly() -> str:
@@ -171,7 +171,7 @@ def _plotly() -> str:
     return script.replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 
-def _own(name: str) -> str:
+def _resource(name: str) -> str:
     return files("gonio.reporting").joinpath(name).read_text(encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""What a report is made of: the fit, and what is still there of the data behind it."""
+"""Inputs of a report: the fit, and those of its data that can still be found."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Reducer = Callable[[Session], BRDFSamples]
 
 @dataclass(frozen=True)
 class Inputs:
-    """A fit and what belongs to it; what is missing is None and has a sentence in `absent`.
+    """A fit and its data; what is missing is None and has a sentence in `absent`.
 
     Parameters
     ----------
@@ -30,13 +30,13 @@ class Inputs:
     name : str
         File of the fit.
     samples : BRDFSamples or None
-        What the fit was made to, cut as it was.
+        The samples that were fitted, with the cuts of the fit applied.
     session : Session or None
         The raw frames.
     draws : xarray.Dataset or None
         The posterior's draws.
     absent : tuple of str
-        Why something is not there, one sentence each.
+        Reason for each input that is missing, one sentence each.
     """
 
     fit: FitResult
@@ -54,7 +54,7 @@ def gather(
 ) -> Inputs:
     """Read a fit and look for its samples, session and draws by the names they had.
 
-    They are looked for from the current folder and beside the fit. Only the fit must be there.
+    The search covers the current folder and the folder of the fit. Only the fit is required.
 
     Parameters
     ----------
@@ -89,12 +89,12 @@ def gather(
     return Inputs(fit, source.name, samples, session, draws, tuple(absent))
 
 
-def _or_none(absent: list[str], what: str, read: Callable[[], Any]) -> Any:
-    """What `read` gives; an error of gonio or of the system becomes a line of `absent`."""
+def _or_none(absent: list[str], kind: str, read: Callable[[], Any]) -> Any:
+    """Result of `read`; an error of gonio or of the system becomes a line of `absent`."""
     try:
         return read()
     except (GonioError, OSError) as error:
-        absent.append(f"The {what}: {error}")
+        absent.append(f"The {kind}: {error}")
         return None
 
 
@@ -123,8 +123,8 @@ def _samples(source: Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
 
 
 def _require_unchanged(path: Path, fit: FitResult) -> None:
-    known = fit.source.get("sha256")
-    if known and sha256_of(path) != known:
+    digest = fit.source.get("sha256")
+    if digest and sha256_of(path) != digest:
         raise DataError(f"{path.name} has changed since the fit was made to it.", value=path)
 
 
@@ -137,11 +137,11 @@ def _draws(source: Path, fit: FitResult) -> Any:
     if fit.posterior is None or fit.posterior.draws is None:
         return None
     draws = read_draws(_find(fit.posterior.draws, source))
-    own = (fit.source.get("joint") or {}).get("parameters") or {}
-    own = {new: old for new, old in own.items() if old in draws}  # fixed ones have no draws
-    if own:
+    names = (fit.source.get("joint") or {}).get("parameters") or {}
+    names = {new: old for new, old in names.items() if old in draws}  # fixed ones have no draws
+    if names:
         # The draws of a joint fit are named as its parameters are.
-        draws = draws[list(own.values())].rename({old: new for new, old in own.items()})
+        draws = draws[list(names.values())].rename({old: new for new, old in names.items()})
     if not all(name in draws for name, e in fit.parameters.items() if e.unknown):
         raise DataError(f"{fit.posterior.draws} does not hold the parameters of this fit.")
     return draws

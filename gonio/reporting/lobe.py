@@ -1,4 +1,4 @@
-"""The lobe: slices through it and its shape over the hemisphere, measured and fitted."""
+"""Slices through the lobe and its shape over the hemisphere, measured and fitted."""
 
 from __future__ import annotations
 
@@ -81,14 +81,16 @@ def slices(samples: BRDFSamples, fit: FitResult) -> Chart | None:
             View(
                 "in the plane of incidence",
                 inside,
-                _plain("θr (°), forward positive", samples.quantity),
+                _cartesian("θr (°), forward positive", samples.quantity),
             )
         )
-        views.append(View("in the plane, polar", _polar(inside), _round()))
+        views.append(View("in the plane, polar", _polar(inside), _half_circle()))
     if across:
         title = "angle from the specular direction (°)"
         views.append(
-            View("across it, at the specular direction", across, _plain(title, samples.quantity))
+            View(
+                "across it, at the specular direction", across, _cartesian(title, samples.quantity)
+            )
         )
     caption = (
         "Points: measured, with standard uncertainty of the independent errors where it is known; "
@@ -99,7 +101,7 @@ def slices(samples: BRDFSamples, fit: FitResult) -> Chart | None:
     return Chart("slices", "Slice", tuple(views), caption, height=460)
 
 
-def _plain(title: str, quantity: str) -> dict[str, Any]:
+def _cartesian(title: str, quantity: str) -> dict[str, Any]:
     logarithmic = {"type": "log", "exponentformat": "none", "dtick": 1}
     return {
         "xaxis": axis(title, zeroline=False),
@@ -107,7 +109,7 @@ def _plain(title: str, quantity: str) -> dict[str, Any]:
     }
 
 
-def _round() -> dict[str, Any]:
+def _half_circle() -> dict[str, Any]:
     """A half circle, the normal at the top, forward to the right."""
     return {
         "margin": {"l": 45, "r": 45, "t": 40, "b": 10},
@@ -173,10 +175,10 @@ def _half_width(samples: BRDFSamples, index: NDArray[np.int64]) -> FloatArray | 
     return np.asarray(np.sqrt(samples.solid_angle[index]) / 2)
 
 
-def _nearest_turn(found: list[Image]) -> list[Image]:
+def _nearest_turn(candidates: list[Image]) -> list[Image]:
     """One image of each incidence angle, that of the smallest turn of the sample."""
     best: dict[int, Image] = {}
-    for image in found:
+    for image in candidates:
         key = round(image.theta_i / SAME_ANGLE)
         if key not in best or _turn(image) < _turn(best[key]):
             best[key] = image
@@ -200,16 +202,16 @@ def _pair(
     fine: FloatArray,
     f: FloatArray,
 ) -> list[Trace]:
-    """Points and line of one incidence; one entry of the legend switches both."""
-    seen = value > 0
+    """Points and line of one incidence; one entry of the legend shows or hides both."""
+    positive = value > 0
     points: Trace = {
         "type": "scatter", "mode": "markers", "name": name, "legendgroup": name,
-        "x": short(np.degrees(x[seen])), "y": short(value[seen]),
+        "x": short(np.degrees(x[positive])), "y": short(value[positive]),
         "marker": {"color": colour, "size": 6, "opacity": 0.6},
     }  # fmt: skip
     if u.any():
         points["error_y"] = {
-            "array": short(u[seen]), "color": colour, "thickness": 0.8, "width": 0,
+            "array": short(u[positive]), "color": colour, "thickness": 0.8, "width": 0,
         }  # fmt: skip
     lit = f > 0
     line: Trace = {
@@ -223,8 +225,8 @@ def _pair(
 def _polar(traces: list[Trace]) -> list[Trace]:
     turned = []
     for trace in traces:
-        kept = {k: v for k, v in trace.items() if k not in ("x", "y", "error_y")}
-        turned.append({**kept, "type": "scatterpolar", "theta": trace["x"], "r": trace["y"]})
+        common = {k: v for k, v in trace.items() if k not in ("x", "y", "error_y")}
+        turned.append({**common, "type": "scatterpolar", "theta": trace["x"], "r": trace["y"]})
     return turned
 
 

@@ -1,4 +1,4 @@
-"""Small pieces of HTML. Every text is escaped here, and only here is anything trusted."""
+"""Small pieces of HTML. This file escapes every text; only `Markup` passes unescaped."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _NARROW = 5  # columns that a telephone shows side by side
 
 
 class Markup(str):
-    """A text that is HTML already."""
+    """Text that is already HTML."""
 
     __slots__ = ()
 
@@ -37,8 +37,8 @@ def tag(name: str, *content: object, **attributes: str) -> Markup:
     '<p class="note">a &lt; b</p>'
     """
     named = {key.rstrip("_").replace("_", "-"): value for key, value in attributes.items()}
-    words = "".join(f' {key}="{escape(value)}"' for key, value in named.items())
-    return Markup(f"<{name}{words}>{''.join(text(c) for c in content)}</{name}>")
+    pairs = "".join(f' {key}="{escape(value)}"' for key, value in named.items())
+    return Markup(f"<{name}{pairs}>{''.join(text(c) for c in content)}</{name}>")
 
 
 def items(lines: Iterable[object]) -> Markup:
@@ -50,8 +50,8 @@ def table(head: Sequence[object], rows: Iterable[Sequence[object]], caption: str
     """A table that scrolls sideways where the screen is narrow; the first column names the row."""
     top = tag("thead", tag("tr", *(tag("th", cell, scope="col") for cell in head)))
     body = [
-        tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in rest))
-        for first, *rest in rows
+        tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in cells))
+        for first, *cells in rows
     ]
     kind = "wide" if len(head) > _NARROW else "narrow"
     whole = tag("table", tag("caption", caption), top, tag("tbody", *body), class_=kind)

@@ -1,4 +1,4 @@
-"""The posterior's draws: every parameter, every pair of them, and how the chains moved."""
+"""Charts of a posterior: every parameter, every pair of them, and the chains."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def corner(fit: FitResult, draws: Any) -> Chart:
     drawn = [np.asarray(draws[q.name].values, float).ravel() for q in parameters]
     truth: Mapping[str, float] = fit.source.get("truth") or {}
     true = [truth.get(q.name) for q in parameters]
-    limits = [_limits(column, t) for column, t in zip(drawn, true, strict=True)]
+    ranges = [_axis_range(column, t) for column, t in zip(drawn, true, strict=True)]
     n = len(parameters)
     data: list[Trace] = []
     layout: dict[str, Any] = {
@@ -47,12 +47,12 @@ def corner(fit: FitResult, draws: Any) -> Chart:
     }
     for row in range(n):
         for column in range(row + 1):
-            k = _place(row * n + column)
+            k = _axis_suffix(row * n + column)
             if row == column:
-                data.append(_counts(drawn[row], limits[row], k))
+                data.append(_counts(drawn[row], ranges[row], k))
             else:
-                data += _pair(drawn[column], drawn[row], limits[column], limits[row], k)
-            layout |= _axes(parameters, limits, row, column, k)
+                data += _pair(drawn[column], drawn[row], ranges[column], ranges[row], k)
+            layout |= _axes(parameters, ranges, row, column, k)
             layout["shapes"] += _true(true[column], true[row] if row != column else None, k)
     caption = (
         f"{drawn[0].size} draws. Diagonal: histogram of a parameter; below it: regions that hold "
@@ -69,8 +69,8 @@ def corner(fit: FitResult, draws: Any) -> Chart:
     )
 
 
-def _limits(column: FloatArray, true: float | None) -> tuple[float, float]:
-    """Nearly all draws, and the true value where it lies within three widths of them."""
+def _axis_range(column: FloatArray, true: float | None) -> tuple[float, float]:
+    """Range of an axis: nearly all draws, and the true value within three widths of them."""
     low, high = (float(q) for q in np.quantile(column, [0.001, 0.999]))
     width = high - low or max(abs(high), 1.0) * 1e-6
     if true is not None and low - 3 * width < true < high + 3 * width:
@@ -78,13 +78,13 @@ def _limits(column: FloatArray, true: float | None) -> tuple[float, float]:
     return low - 0.06 * width, high + 0.06 * width
 
 
-def _place(k: int) -> str:
-    """What plotly puts after the letters of the k-th pair of axes, from 0."""
+def _axis_suffix(k: int) -> str:
+    """Suffix that plotly gives to the names of the k-th pair of axes, counted from 0."""
     return "" if k == 0 else str(k + 1)
 
 
-def _counts(column: FloatArray, limits: tuple[float, float], k: str) -> Trace:
-    counts, edges = np.histogram(column, BINS, range=limits)
+def _counts(column: FloatArray, span: tuple[float, float], k: str) -> Trace:
+    counts, edges = np.histogram(column, BINS, range=span)
     return {
         "type": "bar", "x": short((edges[1:] + edges[:-1]) / 2, 6), "y": counts.tolist(),
         "width": float(edges[1] - edges[0]), "xaxis": f"x{k}", "yaxis": f"y{k}",
@@ -96,11 +96,11 @@ def _counts(column: FloatArray, limits: tuple[float, float], k: str) -> Trace:
 def _pair(
     x: FloatArray,
     y: FloatArray,
-    x_limits: tuple[float, float],
-    y_limits: tuple[float, float],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
     k: str,
 ) -> list[Trace]:
-    counts, x_edges, y_edges = np.histogram2d(x, y, BINS, range=[x_limits, y_limits])
+    counts, x_edges, y_edges = np.histogram2d(x, y, BINS, range=[x_range, y_range])
     density = gaussian_filter(counts, SMOOTHING, mode="constant").T
     common = {
         "x": short((x_edges[1:] + x_edges[:-1]) / 2, 6),
@@ -121,14 +121,14 @@ def _pair(
 def _densities(density: FloatArray) -> list[float]:
     """Densities above which the shares LEVELS of all draws lie."""
     ordered = np.sort(density, axis=None)[::-1]
-    held = np.cumsum(ordered) / max(float(ordered.sum()), 1e-300)
-    at = np.minimum(np.searchsorted(held, LEVELS), ordered.size - 1)
+    cumulative = np.cumsum(ordered) / max(float(ordered.sum()), 1e-300)
+    at = np.minimum(np.searchsorted(cumulative, LEVELS), ordered.size - 1)
     return [float(f"{ordered[j]:.6g}") for j in at]
 
 
 def _axes(
     parameters: list[Parameter],
-    limits: list[tuple[float, float]],
+    ranges: list[tuple[float, float]],
     row: int,
     column: int,
     k: str,
@@ -140,14 +140,14 @@ def _axes(
     common = {"nticks": 4, "zeroline": False, "showgrid": False}
     return {
         f"xaxis{k}": {
-            **common, "domain": across, "anchor": f"y{k}", "range": list(limits[column]),
+            **common, "domain": across, "anchor": f"y{k}", "range": list(ranges[column]),
             "showticklabels": last, "tickangle": -45,
             "title": {"text": named(parameters[column]) if last else ""},
         },
         f"yaxis{k}": {
             **common, "domain": up, "anchor": f"x{k}", "showticklabels": first,
             "title": {"text": named(parameters[row]) if first else ""},
-            **({"range": list(limits[row])} if row != column else {"rangemode": "tozero"}),
+            **({"range": list(ranges[row])} if row != column else {"rangemode": "tozero"}),
         },
     }  # fmt: skip
 
@@ -168,7 +168,7 @@ def _true(x: float | None, y: float | None, k: str) -> list[dict[str, Any]]:
 
 
 def trace(fit: FitResult, draws: Any) -> Chart:
-    """How some of the chains moved, parameter by parameter."""
+    """Some of the chains against the number of the draw, one parameter a view."""
     model = models.of_fit(fit)
     views = []
     unknowns = [name for name, e in fit.parameters.items() if e.unknown]

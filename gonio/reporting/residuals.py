@@ -1,4 +1,4 @@
-"""What the model leaves over: maps over the hemisphere and how the residuals are spread."""
+"""Residuals: maps over the hemisphere and a histogram."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from gonio.samples import BRDFSamples
 
 MOST_DRAWN = 12_000  # samples in all maps together
 MOST_MAPS = 64
-WITHIN = 0.95  # share of the samples that the colours of a map tell apart
+WITHIN = 0.95  # share of the samples within the range of the colours
 BINS = np.linspace(-5, 5, 51)
 _COLOURS = [[0, BLUE], [0.5, "#dcdcdc"], [1, VERMILLION]]
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Measured less fitted, each over the cell of its sample.
+    """Measured minus fitted, averaged over the cell of each sample.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Residuals:
         The residuals in the unit that `unit` names.
     unit : str
         Their unit in words.
-    known : bool
+    in_uncertainties : bool
         Whether the unit is the standard uncertainty of a sample.
     percent : ndarray, shape (N,)
         The residuals in per cent of the fitted f; NaN where that is not above zero.
@@ -41,7 +41,7 @@ class Residuals:
 
     z: FloatArray
     unit: str
-    known: bool
+    in_uncertainties: bool
     percent: FloatArray
 
 
@@ -51,17 +51,17 @@ def residuals(samples: BRDFSamples, fit: FitResult) -> Residuals:
     problem = SingleProblem.from_samples(samples, model)
     p = model.vector(fit.values())
     f = problem.values(p)
-    rest = samples.value - f
-    percent = 100 * rest / np.where(f > 0, f, np.nan)
+    difference = samples.value - f
+    percent = 100 * difference / np.where(f > 0, f, np.nan)
     if samples.u_independent is None:
-        scale = np.sqrt(np.mean(rest**2)) or 1.0
-        return Residuals(rest / scale, "their root mean square", False, percent)
-    # As the fit weighs them: the noise of the model's value, not of the noisy one.
+        scale = np.sqrt(np.mean(difference**2)) or 1.0
+        return Residuals(difference / scale, "their root mean square", False, percent)
+    # The weights of the fit: the noise at the model's value, not at the measured one.
     u = np.sqrt(problem.variance(f))
     if fit.noise_scale == 1:
-        return Residuals(rest / u, "their standard uncertainties", True, percent)
+        return Residuals(difference / u, "their standard uncertainties", True, percent)
     unit = f"{fit.noise_scale:.3g} times their standard uncertainties, as the fit scaled them"
-    return Residuals(rest / (fit.noise_scale * u), unit, True, percent)
+    return Residuals(difference / (fit.noise_scale * u), unit, True, percent)
 
 
 def colour_limit(percent: FloatArray) -> float:
@@ -72,20 +72,20 @@ def colour_limit(percent: FloatArray) -> float:
     >>> colour_limit(np.array([-0.3, 0.1, 1.4, np.nan]))
     2.0
     """
-    known = np.abs(percent[np.isfinite(percent)])
-    most = max(float(np.quantile(known, WITHIN)) if len(known) else 1.0, 1e-6)
+    finite = np.abs(percent[np.isfinite(percent)])
+    most = max(float(np.quantile(finite, WITHIN)) if len(finite) else 1.0, 1e-6)
     decade = 10.0 ** np.floor(np.log10(most))
     return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= most))
 
 
-def maps(samples: BRDFSamples, found: Residuals) -> Chart:
+def maps(samples: BRDFSamples, residual: Residuals) -> Chart:
     """Residuals over the hemisphere of viewing directions, a map for each incidence."""
     shown = spread(images(samples), MOST_MAPS)
     each = max(1, MOST_DRAWN // len(shown))
-    limit = colour_limit(found.percent)
+    limit = colour_limit(residual.percent)
     views, n = [], 0
     for image in shown:
-        trace = _map(samples, found, image, each, limit)
+        trace = _map(samples, residual, image, each, limit)
         n += len(trace["x"])
         views.append(View(image.label, [trace, _specular(image)], _disc()))
     caption = (
@@ -94,30 +94,30 @@ def maps(samples: BRDFSamples, found: Residuals) -> Chart:
         "θr = 30°, 60° and 90°, the small cross is the specular direction. "
         f"Drawn: {n} of {len(samples)} samples."
     )
-    missing = int(np.sum(~np.isfinite(found.percent)))
+    missing = int(np.sum(~np.isfinite(residual.percent)))
     if missing:
         caption += f" Where the fitted f is not above zero there is no per cent: {missing} samples."
     return Chart("residual-maps", "Incidence", tuple(views), caption, height=470)
 
 
-def _map(samples: BRDFSamples, found: Residuals, image: Image, most: int, limit: float) -> Trace:
+def _map(samples: BRDFSamples, residual: Residuals, image: Image, most: int, limit: float) -> Trace:
     at = np.asarray(spread(image.index, most), np.int64)
-    at = at[np.isfinite(found.percent[at])]
+    at = at[np.isfinite(residual.percent[at])]
     _, _, theta_r, phi_r = (column[at] for column in columns(samples))
     r = radius(theta_r)
     text = [
         f"{t:.0f}°, {p:.0f}°: {percent:+.3g} % of f, {z:+.2g}"
         for t, p, percent, z in zip(
-            np.degrees(theta_r), np.degrees(phi_r) % 360, found.percent[at], found.z[at],
+            np.degrees(theta_r), np.degrees(phi_r) % 360, residual.percent[at], residual.z[at],
             strict=True,
         )
     ]  # fmt: skip
     return {
         "type": "scatter", "mode": "markers", "x": short(r * np.cos(phi_r)),
         "y": short(r * np.sin(phi_r)), "text": text,
-        "hovertemplate": f"θr, φr = %{{text}} of {found.unit}<extra></extra>",
+        "hovertemplate": f"θr, φr = %{{text}} of {residual.unit}<extra></extra>",
         "marker": {
-            "color": short(found.percent[at], 3), "cmin": -limit, "cmax": limit,
+            "color": short(residual.percent[at], 3), "cmin": -limit, "cmax": limit,
             "colorscale": _COLOURS, "size": 11, "symbol": "square", "line": {"width": 0},
             "colorbar": {"thickness": 12, "len": 0.8, "title": {"text": "% of f"}},
         },
@@ -161,10 +161,10 @@ def _disc() -> dict[str, Any]:
     }
 
 
-def histogram(found: Residuals) -> Chart:
-    """How the residuals are spread, beside what independent normal errors would give."""
-    n = len(found.z)
-    counts, _ = np.histogram(np.clip(found.z, BINS[0], BINS[-1]), BINS)
+def histogram(residual: Residuals) -> Chart:
+    """Histogram of the residuals, with the density of independent normal errors."""
+    n = len(residual.z)
+    counts, _ = np.histogram(np.clip(residual.z, BINS[0], BINS[-1]), BINS)
     centre, width = (BINS[1:] + BINS[:-1]) / 2, float(BINS[1] - BINS[0])
     x = np.linspace(BINS[0], BINS[-1], 121)
     data: list[Trace] = [
@@ -176,7 +176,7 @@ def histogram(found: Residuals) -> Chart:
     ]  # fmt: skip
     layout = {"xaxis": axis("residual"), "yaxis": axis("samples"), "bargap": 0}
     caption = (
-        f"All {n} residuals, in units of {found.unit}. Residuals beyond ±5 are counted in the last "
-        "bars. Line: a normal distribution of standard deviation 1."
+        f"All {n} residuals, in units of {residual.unit}. Residuals beyond ±5 are counted in the "
+        "last bars. Line: a normal distribution of standard deviation 1."
     )
     return Chart("residuals", "", (View("", data, layout),), caption, height=320)

@@ -1,4 +1,4 @@
-"""The report's text and tables, from what a fit and its data say of themselves."""
+"""Text and tables of a report, from the record of a fit and its data."""
 
 from __future__ import annotations
 
@@ -94,14 +94,14 @@ def parameters(fit: FitResult, stated: Statement) -> Markup:
     head += ["68 % interval", "95 % interval"]
     head += ["true", "difference / u"] if truth else []
     rows = []
-    for name, own in fit.parameters.items():
-        estimate = own.in_file_units()
-        known = [] if not truth else _true(estimate, truth.get(name))
+    for name, fitted in fit.parameters.items():
+        estimate = fitted.in_file_units()
+        true_cells = [] if not truth else _true(estimate, truth.get(name))
         intervals = [interval(estimate, pair) for pair in _intervals(estimate)]
         meaning = model.parameter(name).meaning
         expanded = [] if k is None else [_expanded(estimate, k)]
         shown = _unbroken(recovered(estimate))
-        rows.append([name, meaning, shown, *expanded, *intervals, *known])
+        rows.append([name, meaning, shown, *expanded, *intervals, *true_cells])
     kind = (
         "quantiles of the posterior"
         if fit.posterior is not None
@@ -150,9 +150,9 @@ def interval(estimate: Estimate, pair: tuple[float, float] | None) -> str | None
     return _unbroken(shown.replace("-", "−"))
 
 
-def _unbroken(words: str) -> str:
-    """With blanks at which no line breaks."""
-    return words.replace(" ", "\u00a0")
+def _unbroken(line: str) -> str:
+    """The text with blanks at which no line breaks."""
+    return line.replace(" ", "\u00a0")
 
 
 def _true(estimate: Estimate, true: float | None) -> list[str | None]:
@@ -164,7 +164,7 @@ def _true(estimate: Estimate, true: float | None) -> list[str | None]:
     return [shown, f"{(estimate.value - true) / estimate.stderr:+.1f}".replace("-", "−")]
 
 
-def goodness(fit: FitResult, found: Residuals | None) -> list[Markup]:
+def goodness(fit: FitResult, residual: Residuals | None) -> list[Markup]:
     """How well the model describes the samples."""
     rows: list[tuple[str, Any]] = [
         ("samples", fit.n_samples),
@@ -176,15 +176,15 @@ def goodness(fit: FitResult, found: Residuals | None) -> list[Markup]:
     if fit.weights == "sd" and fit.dof > 0:
         rows.append(("χ² per degree of freedom", f"{fit.chi2 / fit.dof:.4g}"))
         rows.append(("factor on the independent uncertainties", f"{fit.noise_scale:.4g}"))
-    else:  # without uncertainties it has a unit and no meaning of its own
+    else:  # without uncertainties it has a unit and cannot be judged by itself
         rows.append(("χ² per degree of freedom", None))
-    if found is not None and found.known:
+    if residual is not None and residual.in_uncertainties:
         for k in (1, 2):
-            share = np.mean(np.abs(found.z) <= k)
+            share = np.mean(np.abs(residual.z) <= k)
             rows.append(
                 (f"residuals within ±{k} standard uncertainties, scaled", f"{100 * share:.1f} %")
             )
-    return [table(["", "figure"], rows, "Goodness of fit")]
+    return [table(["", "value"], rows, "Goodness of fit")]
 
 
 def convergence(fit: FitResult) -> Markup:
@@ -206,7 +206,7 @@ def convergence(fit: FitResult) -> Markup:
     if p.k_hat is not None:
         rows.append(("tail of the importance weights, k-hat (below 0.5)", f"{p.k_hat:.2f}"))
     rows += [(f"prior of {name}", text) for name, text in p.priors.items() if text != "flat"]
-    return table(["", "figure"], rows, "Convergence of the posterior")
+    return table(["", "value"], rows, "Convergence of the posterior")
 
 
 def parameter_budget(fit: FitResult, stated: Statement) -> Markup:
@@ -215,10 +215,10 @@ def parameter_budget(fit: FitResult, stated: Statement) -> Markup:
     shown = {name: estimate.in_file_units() for name, estimate in fit.parameters.items()}
     head = ["source", *(_with_unit(name, estimate) for name, estimate in shown.items())]
     rows: list[list[Any]] = [[s, *(_part(e, s) for e in shown.values())] for s in sources]
-    rows.append(["combined", *(_figure(e.stderr) for e in shown.values())])
+    rows.append(["combined", *(_two_digits(e.stderr) for e in shown.values())])
     if (k := stated.coverage) is not None:
         every = [None if e.stderr is None else k * e.stderr for e in shown.values()]
-        rows.append([f"expanded, k = {k:.4g}", *map(_figure, every)])
+        rows.append([f"expanded, k = {k:.4g}", *map(_two_digits, every)])
     return table(head, rows, "Standard uncertainty of the parameters by source")
 
 
@@ -230,10 +230,10 @@ def _part(estimate: Estimate, source: str) -> str | None:
     u = estimate.components.get(source)
     if u is not None and estimate.stderr and u < _NIL * estimate.stderr:
         return "≈ 0"  # rounding of a source that does not act on this parameter
-    return _figure(u)
+    return _two_digits(u)
 
 
-def _figure(u: float | None) -> str | None:
+def _two_digits(u: float | None) -> str | None:
     return None if u is None else f"{u:.2g}"
 
 
@@ -266,16 +266,18 @@ def _percents(summary: dict[str, float] | None) -> list[str | None]:
 
 
 def unknown(fit: FitResult) -> Markup:
-    """What nobody stated, so that it is in no figure of the report."""
-    found = [str(line) for line in fit.source.get("unknown") or ()]
-    if not found:
+    """Effects whose size nobody stated: no value of the report contains them."""
+    effects = [str(line) for line in fit.source.get("unknown") or ()]
+    if not effects:
         return Markup("")
-    lines = items(f"{line}: {UNKNOWN}" for line in found)
-    return tag("div", tag("p", "In no figure of this report:"), lines, class_="note", id="unknown")
+    lines = items(f"{line}: {UNKNOWN}" for line in effects)
+    return tag(
+        "div", tag("p", "No value of this report contains:"), lines, class_="note", id="unknown"
+    )
 
 
 def measurement(inputs: Inputs) -> Markup:
-    """Instrument, session, what was found in it, and every step of the way."""
+    """Instrument, session, findings, and the history of the data."""
     fit, session = inputs.fit, inputs.session
     rows = [("instrument", fit.source.get("instrument")), ("sample", fit.source.get("sample"))]
     rows += _session_rows(session)
@@ -296,8 +298,10 @@ def _no_findings(fit: FitResult) -> str:
     return "None was recorded." if "findings" in fit.source else f"Findings: {UNKNOWN}."
 
 
-def _finding(found: Any) -> str:
-    return "; ".join(f"{k}: {v}" for k, v in found.items()) if isinstance(found, dict) else found
+def _finding(finding: Any) -> str:
+    return (
+        "; ".join(f"{k}: {v}" for k, v in finding.items()) if isinstance(finding, dict) else finding
+    )
 
 
 def _session_rows(session: Session | None) -> Iterable[tuple[str, Any]]:
@@ -360,21 +364,21 @@ def commands(inputs: Inputs) -> list[str]:
     if session and Path(str(session)).name != Path(str(source)).name:
         lines.append(["gonio", "reduce", str(session), "-o", str(source)])
     joint = fit.source.get("joint") or {}
-    given = joint.get("input") or source
-    given = given if isinstance(given, list) else [given]
-    words = ["gonio", "fit", *map(str, given), "--model", fit.model, "--weights", fit.weights]
-    words += ["--loss", fit.loss] if fit.loss != "chi2" else []
-    words += ["--engine", fit.engine] if fit.engine != "gauss_newton" else []
-    words += ["--share", ",".join(joint["share"]) or "none"] if joint else []
+    sources = joint.get("input") or source
+    sources = sources if isinstance(sources, list) else [sources]
+    arguments = ["gonio", "fit", *map(str, sources), "--model", fit.model, "--weights", fit.weights]
+    arguments += ["--loss", fit.loss] if fit.loss != "chi2" else []
+    arguments += ["--engine", fit.engine] if fit.engine != "gauss_newton" else []
+    arguments += ["--share", ",".join(joint["share"]) or "none"] if joint else []
     for key, value in (joint.get("select", fit.cuts.get("select")) or {}).items():
-        words += ["--select", f"{key}={value}"]
+        arguments += ["--select", f"{key}={value}"]
     for angle in ("theta_i", "theta_r"):
         limit = fit.cuts.get(f"max_{angle}_deg")
-        words += [] if limit is None else [f"--max-{angle.replace('_', '-')}", f"{limit:g}"]
-    words += ["--posterior"] if fit.posterior is not None else []
-    words += ["--seed", str(fit.seed)]
-    words += ["--truth", str(session)] if fit.source.get("truth") and session else []
-    lines.append([*words, "-o", inputs.name])
+        arguments += [] if limit is None else [f"--max-{angle.replace('_', '-')}", f"{limit:g}"]
+    arguments += ["--posterior"] if fit.posterior is not None else []
+    arguments += ["--seed", str(fit.seed)]
+    arguments += ["--truth", str(session)] if fit.source.get("truth") and session else []
+    lines.append([*arguments, "-o", inputs.name])
     page = [inputs.name, "-o", str(Path(inputs.name).with_suffix(".html"))]
     page += ["--select", f"part={joint['part']}"] if joint else []
     lines.append(["gonio", "report", *page])

@@ -1,10 +1,10 @@
-"""What the person who signs a report states: who measured, when, with what, with which coverage."""
+"""Statements of the person who signs a report: operator, dates, equipment and coverage."""
 
 from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ LEAST_LEVEL = 50.0  # per cent
 
 @dataclass(frozen=True)
 class Statement:
-    """What a report says besides what the fit and its data say of themselves.
+    """Facts of a report that are not in the fit or its data.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Statement:
     issued : str or None
         Date of the report, YYYY-MM-DD.
     serials : tuple of (str, str)
-        What was used, such as sample, lamp or standard, and its serial number.
+        Name of an item, such as sample, lamp or standard, and its serial number.
     coverage : float or None
         Coverage factor k of the expanded uncertainty U = k u.
     level : float or None
@@ -46,36 +46,36 @@ class Statement:
     dof: float | None = None
 
     def facts(self) -> list[tuple[str, str]]:
-        """Lines for the head of a report; what was not given is left out."""
-        found = [("Operator", self.operator or "")]
-        found += [("Measured on", ", ".join(self.dates))]
-        found += [("Issued on", self.issued or "")]
-        found += [(f"Serial number, {name}", number) for name, number in self.serials]
-        return [(name, value) for name, value in found if value]
+        """Name and value of each line in the head of a report; missing values are left out."""
+        lines = [("Operator", self.operator or "")]
+        lines += [("Measured on", ", ".join(self.dates))]
+        lines += [("Issued on", self.issued or "")]
+        lines += [(f"Serial number, {name}", number) for name, number in self.serials]
+        return [(name, value) for name, value in lines if value]
 
     def coverage_sentence(self) -> str | None:
-        """What U means; None where no coverage was asked for."""
+        """Meaning of U; None where neither a coverage nor degrees of freedom were given."""
         freedom = "" if self.dof is None else f"{self.dof:g} effective degrees of freedom"
         if self.coverage is None:
             return f"The uncertainties have {freedom}." if freedom else None
-        words = (
+        meaning = (
             f"U = k u is the expanded uncertainty with the coverage factor k = {self.coverage:.4g}"
         )
         if self.level is not None:
             law = f"Student's distribution with {freedom}" if freedom else "a normal distribution"
-            return f"{words}, for a coverage probability of {self.level:g} % under {law}."
-        return f"{words}; the uncertainties have {freedom}." if freedom else f"{words}."
+            return f"{meaning}, for a coverage probability of {self.level:g} % under {law}."
+        return f"{meaning}; the uncertainties have {freedom}." if freedom else f"{meaning}."
 
 
 def statement(
     operator: str | None = None,
     dates: Iterable[str] = (),
     issued: str | None = None,
-    serials: Iterable[str] = (),
-    coverage: str | None = None,
+    serials: Mapping[str, str] | Iterable[str] = (),
+    coverage: str | float | None = None,
     dof: float | None = None,
 ) -> Statement:
-    """A statement from texts as a person writes them.
+    """Make a statement from texts as a person writes them.
 
     Parameters
     ----------
@@ -84,10 +84,10 @@ def statement(
         Days of the measurement, YYYY-MM-DD.
     issued : str, optional
         Day of the report, YYYY-MM-DD.
-    serials : iterable of str
-        NAME=NUMBER each.
-    coverage : str, optional
-        A factor, "2" or "k=2", or a probability, "95%", from which k follows by Student's
+    serials : mapping of str to str, or iterable of str
+        Serial number of each item by its name, or texts NAME=NUMBER.
+    coverage : str or float, optional
+        A factor, 2, "2" or "k=2", or a probability, "95%", from which k follows by Student's
         distribution with `dof`, or by the normal one.
     dof : float, optional
         Effective degrees of freedom, at least 1.
@@ -101,6 +101,8 @@ def statement(
     --------
     >>> statement(coverage="95%", dof=9).coverage_sentence()  # doctest: +ELLIPSIS
     'U = k u is the expanded uncertainty with the coverage factor k = 2.262, for a coverage ...'
+    >>> statement(coverage=2, serials={"lamp": "AB-1234"}).facts()
+    [('Serial number, lamp', 'AB-1234')]
     """
     if dof is not None and not dof >= 1:
         raise ConfigurationError(
@@ -108,7 +110,9 @@ def statement(
             "where it is not known.",
             value=dof,
         )
-    factor, level = (None, None) if coverage is None else _coverage(coverage, dof)
+    factor, level = (None, None) if coverage is None else _coverage(str(coverage), dof)
+    if isinstance(serials, Mapping):
+        serials = [f"{name}={number}" for name, number in serials.items()]
     return Statement(
         (operator or "").strip() or None,
         tuple(_day(day) for day in dates),
@@ -140,11 +144,11 @@ def _serial(text: str) -> tuple[str, str]:
 
 def _coverage(text: str, dof: float | None) -> tuple[float, float | None]:
     """Coverage factor, and the probability in per cent that it was chosen for."""
-    found = re.fullmatch(r"\s*(k\s*=)?\s*(\d+\.?\d*|\.\d+)\s*(%)?\s*", text)
-    number = float(found[2]) if found else 0.0
-    if found and found[3] and not found[1] and LEAST_LEVEL <= number < 100:
+    match = re.fullmatch(r"\s*(k\s*=)?\s*(\d+\.?\d*|\.\d+)\s*(%)?\s*", text)
+    number = float(match[2]) if match else 0.0
+    if match and match[3] and not match[1] and LEAST_LEVEL <= number < 100:
         return _factor(number, dof), number
-    if found and not found[3] and 0 < number <= LARGEST_FACTOR:
+    if match and not match[3] and 0 < number <= LARGEST_FACTOR:
         return number, None
     raise ConfigurationError(
         f"the coverage {text!r} is neither a factor such as k=2 (above 0, up to "

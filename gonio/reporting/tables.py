@@ -1,4 +1,4 @@
-r"""Tables of results for other programs: CSV with all digits, LaTeX with those that count."""
+r"""Tables of results: CSV with all digits, LaTeX with the significant ones."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Table:
     rows : sequence of sequence
         Numbers or texts; None is unknown.
     shown : sequence of sequence of str
-        The same cells as text for readers, with as many digits as count.
+        The same cells as text for readers, with the significant digits.
     """
 
     names: Sequence[str]
@@ -115,8 +115,8 @@ def fit_table(fit: FitResult, coverage: float | None = None) -> Table:
         heads.append(f"U (k = {coverage:.4g})")
     rows: list[list[Cell]] = []
     shown: list[list[str]] = []
-    for name, own in fit.parameters.items():
-        e = own.in_file_units()
+    for name, fitted in fit.parameters.items():
+        e = fitted.in_file_units()
         low, high = e.interval_95 or (None, None)
         expanded = [] if coverage is None else [e.stderr and coverage * e.stderr]
         rows.append([name, e.unit, e.value, e.stderr, low, high, *expanded])
@@ -154,13 +154,13 @@ def budget_table(report: dict[str, Any]) -> Table:
     heads += ["share, %"]
     rows: list[list[Cell]] = []
     for row in report["sources"]:
-        figures = [row["relative"] and row["relative"][key] for key in keys]
-        words = [row["name"], row["kind"], row["shared_by"], row["acts"]]
-        rows.append([*words, *figures, row["share_of_variance"]])
+        values = [row["relative"] and row["relative"][key] for key in keys]
+        labels = [row["name"], row["kind"], row["shared_by"], row["acts"]]
+        rows.append([*labels, *values, row["share_of_variance"]])
     k = report["coverage_factor"]
     for name, key in (("combined", "combined"), (f"expanded, k = {k:g}", "expanded")):
-        figures = [report[key] and report[key][column] for column in keys]
-        rows.append([name, "", "", "", *figures, None])
+        values = [report[key] and report[key][column] for column in keys]
+        rows.append([name, "", "", "", *values, None])
     shown = [[*map(str, row[:4]), *map(_percent, row[4:])] for row in rows]
     for row in shown[-2:]:
         row[-1] = ""
@@ -171,22 +171,22 @@ def _percent(x: Cell) -> str:
     return "unknown" if x is None else f"{100 * float(x):.3g}"
 
 
-def comparison_table(found: Comparison) -> Table:
+def comparison_table(comparison: Comparison) -> Table:
     """The table of `gonio compare`, the best model first."""
     names = ["model", "status", "n_parameters", "chi2", "dof"]
-    names += [f"{score}_{what}" for score in ("held_out", "loo")
-              for what in ("difference", "stderr")]  # fmt: skip
+    names += [f"{score}_{part}" for score in ("held_out", "loo")
+              for part in ("difference", "stderr")]  # fmt: skip
     names += ["log_evidence", "log_evidence_stderr"]
     heads = ["model", "P", "chi2/dof", "held-out", "±", "LOO", "±", "log Z"]
     rows: list[list[Cell]] = []
     shown: list[list[str]] = []
-    for entry in found.entries:
+    for entry in comparison.entries:
         scores: list[Cell] = []
-        words: list[str] = []
+        texts: list[str] = []
         for score in (entry.held_out, entry.loo):
             pair = (None, None) if score is None else (score.difference, score.difference_stderr)
             scores += pair
-            words += ["unknown", ""] if score is None else [
+            texts += ["unknown", ""] if score is None else [
                 rounded(score.difference, score.difference_stderr),
                 rounded(score.difference_stderr, score.difference_stderr),
             ]  # fmt: skip
@@ -194,5 +194,5 @@ def comparison_table(found: Comparison) -> Table:
         rows.append([entry.model, entry.status, entry.n_parameters, entry.chi2, entry.dof,
                      *scores, z, u])  # fmt: skip
         shown.append([entry.model, str(entry.n_parameters), f"{entry.chi2 / entry.dof:.3g}",
-                      *words, "unknown" if z is None else rounded(z, u)])  # fmt: skip
+                      *texts, "unknown" if z is None else rounded(z, u)])  # fmt: skip
     return Table(names, heads, rows, shown)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,21 +12,21 @@ from gonio.fitting.part_choice import part_chooser
 from gonio.fitting.result import FitResult
 from gonio.progress import StagedProgress, begin
 from gonio.reporting import Inputs, gather, page
-from gonio.reporting.statement import Statement
+from gonio.reporting.statement import statement
 from gonio.samples import BRDFSamples
 from gonio.session import Session
 
 
 @dataclass(frozen=True)
 class Report:
-    """A page, and what it could not show.
+    """A page, and the reasons for what it leaves out.
 
     Parameters
     ----------
     html : str
         The page; it opens without a network.
     absent : tuple of str
-        Why something is left out, one sentence each.
+        Reason for each part that is left out, one sentence each.
     """
 
     html: str
@@ -48,7 +48,12 @@ def report(
     session: Session | None = None,
     select: Mapping[str, str] | None = None,
     choose: Callable[[FitResult], FitResult] | None = None,
-    statement: Statement | None = None,
+    operator: str | None = None,
+    dates: Iterable[str] = (),
+    issued: str | None = None,
+    serials: Mapping[str, str] | Iterable[str] = (),
+    coverage: str | float | None = None,
+    dof: float | None = None,
     progress: StagedProgress | None = None,
 ) -> Report:
     """Make one HTML page of a fit that opens without a network.
@@ -56,18 +61,30 @@ def report(
     Parameters
     ----------
     fit : FitResult or path
-        A fit, or the FIT.json of one. Samples, session and draws of a file are looked for by the
-        names they had, from the current folder and from that of the file.
+        A fit, or the FIT.json of one. The samples, session and draws of a file are looked
+        for by the names they had, in the current folder and in that of the file.
     samples : BRDFSamples, optional
-        What a fit in memory was made to.
+        Samples of a fit in memory.
     session : Session, optional
         The raw frames behind a fit in memory.
     select : mapping of str to str, optional
         Part of a joint fit: ``{"wavelength": "650"}``, ``{"channel": "red"}``, ``{"part": NAME}``.
     choose : callable, optional
         Takes one part out of a joint fit, in place of `select`.
-    statement : Statement, optional
-        Operator, dates, serial numbers, coverage factor and degrees of freedom to state.
+    operator : str, optional
+        Name of the person who measured.
+    dates : iterable of str
+        Days of the measurement, YYYY-MM-DD.
+    issued : str, optional
+        Day of the report, YYYY-MM-DD.
+    serials : mapping of str to str, or iterable of str
+        Serial number of the sample, the lamp or the standard by its name, or texts NAME=NUMBER.
+    coverage : str or float, optional
+        Adds expanded uncertainties U = k u: a factor, 2 or "k=2", or a probability, "95%", from
+        which k follows.
+    dof : float, optional
+        Effective degrees of freedom of the uncertainties, at least 1; a probability then gives k
+        by Student's distribution.
     progress : callable, optional
         Called with (stage, images done, images in all) while a session is reduced.
 
@@ -80,7 +97,8 @@ def report(
     DataError
         If the file is missing or no fit.
     ConfigurationError
-        If it is a joint fit and no part is chosen.
+        If it is a joint fit and no part is chosen, or a date, a serial number, the coverage or
+        the degrees of freedom cannot be read.
 
     Examples
     --------
@@ -89,17 +107,19 @@ def report(
     >>> theta = np.linspace(0, 1.2, 20)
     >>> directions = gonio.geometry.Directions(0.3 * np.ones(20), 0.0, theta, 0.0)
     >>> samples = BRDFSamples(directions, 0.1 + 0.001 * np.cos(40 * theta))
-    >>> made = report(gonio.fit(samples, model="lambert"), samples=samples)
-    >>> made.html.startswith("<!DOCTYPE html>")
-    True
+    >>> fit = gonio.fit(samples, model="lambert")
+    >>> made = report(fit, samples=samples, operator="A. Ampère", coverage=2)
+    >>> made.html.startswith("<!DOCTYPE html>"), "U (k = 2)" in made.html
+    (True, True)
     """
+    stated = statement(operator, dates, issued, serials, coverage, dof)
     if isinstance(fit, FitResult):
-        taken = (choose or part_chooser(select or {}))(fit)
-        inputs = Inputs(taken, "the fit", samples, session)
+        part = (choose or part_chooser(select or {}))(fit)
+        inputs = Inputs(part, "the fit", samples, session)
     else:
-        taker = choose or part_chooser(select or {}, where=str(fit))
-        inputs = gather(fit, reducer(progress), taker)
-    return Report(page(inputs, statement), inputs.absent)
+        choose = choose or part_chooser(select or {}, where=str(fit))
+        inputs = gather(fit, reducer(progress), choose)
+    return Report(page(inputs, stated), inputs.absent)
 
 
 def reducer(progress: StagedProgress | None) -> Callable[[Session], BRDFSamples]:

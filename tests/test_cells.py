@@ -366,7 +366,8 @@ def test_a_cone_widens_the_lobe_unless_the_members_hold_it(
     half_angle_deg, theta_i_deg, in_plane, across
 ):
     from gonio import fit
-    from gonio.samples import BRDFSamples, Cells, Directions
+    from gonio.geometry import Directions
+    from gonio.samples import BRDFSamples, Cells
 
     pixels, theta_i = Pixels(across=360, theta_max_deg=70.0), np.radians(theta_i_deg)
     true = {"rho_d": 0.1, "rho_s": 0.2, "alpha_x": 0.04, "alpha_y": 0.04}

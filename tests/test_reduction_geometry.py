@@ -11,9 +11,10 @@ from gonio import models
 from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.cli import main
 from gonio.errors import ConfigurationError
+from gonio.geometry import Directions
 from gonio.instrument import Instrument, preset
 from gonio.metadata import LampRecord, Metadata, Plan, Uncertain
-from gonio.samples import BRDFSamples, Directions
+from gonio.samples import BRDFSamples
 from gonio.session import Session
 
 EXPOSURES = (1e-3, 8e-3, 64e-3)

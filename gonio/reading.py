@@ -34,7 +34,7 @@ def load(
     threads : int, optional
         Number of worker threads; the samples do not depend on it.
     progress : callable, optional
-        Called with (stage, images done, images in all) while a session is reduced.
+        Called with (stage, images done, total number of images) while a session is reduced.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def load(
     Raises
     ------
     DataError
-        If the source cannot be read, a session lacks frames, or no sample is left.
+        If the source cannot be read, a session lacks frames, or no sample remains.
     ConfigurationError
         If the selection is not possible.
 
@@ -66,7 +66,7 @@ def load_with_session(
     threads: int | None = None,
     progress: StagedProgress | None = None,
 ) -> tuple[BRDFSamples, Session | None]:
-    """The selected samples of a source, and the session where the source is one."""
+    """The selected samples of a source, and its session if the source is a session."""
     if not source.is_dir():
         return formats.read(source, select=select), None
     session = Session.open(source)
@@ -77,12 +77,12 @@ def load_with_session(
 
 
 def several(samples: BRDFSamples) -> tuple[str, list[str]] | None:
-    """What tells several BRDFs in the samples apart; None where they are of one.
+    """The property that distinguishes several BRDFs in the samples; None if they hold one BRDF.
 
     Returns
     -------
     (key, values), or None
-        "wavelength" or "channel", and its values as a selection takes them, in order.
+        "wavelength" or "channel", and its values in the form of a selection, in order.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""The true parameters of simulated sessions, to stand beside what a fit has found.
+"""True parameters of simulated sessions, for comparison with the estimates of a fit.
 
-No fit reads them: they are for tables of recovery alone.
+No fit reads them; only recovery tables use them.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ def true_by_part(
     *,
     session: Path | None = None,
 ) -> tuple[list[dict[str, float] | None], list[str]]:
-    """True parameters of every part of a fit, where the sources are simulated sessions.
+    """True parameters of every part of a fit, if the sources are simulated sessions.
 
     Parameters
     ----------
     sources, samples : mapping by name
-        Where the samples came from, and the samples.
+        The sources of the samples, and the samples.
     model : Model
     session : path, optional
-        The simulated session to ask in place of the sources.
+        The simulated session to read instead of the sources.
 
     Returns
     -------
     parts : list of dict, or None
-        Values in the unit of files, for each channel, wavelength and source; None where not known.
+        Values in the unit of files, for each channel, wavelength and source; None if unknown.
     others : list of str
-        The models of sessions that were simulated with another one, for each source of these.
+        The models of those sessions that were simulated with another model than `model`.
 
     Raises
     ------
     DataError
-        If `session` holds no truth.
+        If `session` is not a simulated session.
     ConfigurationError
-        If true values differ between channels and the samples are of no stated one.
+        If true values differ between channels and the samples state no channel.
     """
     others: list[str] = []
     raw: dict[str, dict[str, Any] | None] = {}
@@ -76,18 +76,18 @@ def _in_file_units(model: Model, values: Mapping[str, Any]) -> dict[str, float]:
 def true_parameters(
     result: FitResult, by_part: Sequence[Mapping[str, float] | None]
 ) -> dict[str, float] | None:
-    """True values by the fit's names from those of each part, where the parts agree on them."""
+    """True values by the names of the fit, for values on which all parts agree."""
     if not result.parts:
         return dict(by_part[0]) if by_part[0] is not None else None
     values: dict[str, set[float]] = {}
-    for part, known in zip(result.parts, by_part, strict=True):
-        for q, value in (known or {}).items():
+    for part, true_values in zip(result.parts, by_part, strict=True):
+        for q, value in (true_values or {}).items():
             values.setdefault(part.parameters[q], set()).add(value)
     return {name: each.pop() for name, each in values.items() if len(each) == 1} or None
 
 
 def _truth(session: Path, *, asked: bool) -> dict[str, Any] | None:
-    """What a simulated session says of itself."""
+    """The truth of a simulated session; None for a measured one."""
     truth = read_truth(session) if session.is_dir() else None
     if truth is None and asked:
         raise DataError(
@@ -98,7 +98,7 @@ def _truth(session: Path, *, asked: bool) -> dict[str, Any] | None:
 
 
 def _channel_index(session: Path, samples: BRDFSamples) -> int:
-    """Which channel of a simulated session the samples are of, by name or else by wavelength."""
+    """Index of the samples' channel in a simulated session, by name or else by wavelength."""
     channels = Session.open(session).metadata.plan.channels
     listed: list[Any] = [channel.name for channel in channels]
     own: Any = None

@@ -1,16 +1,16 @@
-"""Raw frames and what a rig knows about them, on disk.
+"""Raw frames with their metadata, on disk.
 
 A session is a folder:
 
 - `session.json`: metadata, written before the first frame, synced and renamed;
-- `frames.zarr`: zarr v3, one array a role, one chunk a frame; dimensions take, incidence,
+- `frames.zarr`: zarr v3, one array per role, one chunk per frame; dimensions take, incidence,
   exposure, row, column, and channel before them where there are several;
-- `manifest.jsonl`: one line a frame with its crc32, appended and synced after the frame itself is
+- `manifest.jsonl`: one line per frame with its crc32, appended and synced after the frame itself is
   on the disk. A frame is in the session when its line is: a crash loses at most the frame that
   was being written.
 
-A simulated session has a folder `truth` beside these, written by the simulator; nothing in this
-module reads it but `read_truth` and `open_truth_images`, which the reduction never calls.
+A simulated session also has a folder `truth`, written by the simulator. In this module only
+`read_truth` and `open_truth_images` read it; the reduction never calls them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Session:
         Raises
         ------
         ConfigurationError
-            If something else stands at `path`.
+            If `path` exists and is something else.
         DataError
             If the folder cannot be written.
         """
@@ -165,7 +165,7 @@ class Session:
         try:
             index = self._index(take, incidence, exposure, channel)
             frame: Frame = np.asarray(self._array(role)[index])
-        except Exception as error:  # zarr's codecs raise many kinds
+        except Exception as error:  # the codecs of zarr raise many kinds of exceptions
             raise DataError(
                 f"{self.path}: frame {key} cannot be read ({error}); it is damaged, take it again.",
                 value=key,
@@ -192,12 +192,12 @@ class Session:
         *,
         channel: int = 0,
     ) -> None:
-        """Put one frame on the disk and acknowledge it in the manifest, both synced.
+        """Write one frame to the disk and then acknowledge it in the manifest, both synced.
 
         Raises
         ------
         DataError
-            If the disk refuses; the session keeps the frames acknowledged so far.
+            If the disk cannot be written; the session keeps the frames acknowledged so far.
         """
         key = _key(role, take, incidence, exposure, channel)
         index = self._index(take, incidence, exposure, channel)
@@ -237,7 +237,7 @@ class Session:
 
 
 def read_truth(path: str | Path) -> dict[str, Any] | None:
-    """What the simulator knows of a session, or None for a real one; for comparison only."""
+    """The truth of a simulated session, or None for a measured one; for comparison only."""
     file = Path(path) / "truth" / "truth.json"
     if not file.is_file():
         return None
@@ -249,7 +249,7 @@ def read_truth(path: str | Path) -> dict[str, Any] | None:
 
 
 def open_truth_images(path: str | Path) -> Any | None:
-    """The zarr group of what the simulator drew and knows by the pixel, or None where absent.
+    """The zarr group of the true values of each pixel, or None if there is none.
 
     Its arrays are described in `gonio.instrument.truth`. For comparison only.
     """
@@ -301,7 +301,7 @@ def _read_manifest(path: Path, plan: Plan) -> dict[str, int]:
         raise DataError(f"{path}: the manifest is missing; the session cannot be trusted.")
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
-    known = {
+    formats = {
         _key(role, take, incidence, k, channel)
         for role, take, incidence in plan.images()
         for k in range(len(plan.exposures_s))
@@ -314,7 +314,7 @@ def _read_manifest(path: Path, plan: Plan) -> dict[str, int]:
             key, crc = entry["frame"], int(entry["crc32"])
         except (ValueError, KeyError, TypeError):
             raise DataError(f"{path}: line {number} is not a frame's line.", value=path) from None
-        if key not in known:
+        if key not in formats:
             raise DataError(f"{path}: line {number}: frame {key!r} is not of the plan.", value=key)
         manifest[key] = crc
     if len(whole) < len(content):

@@ -56,10 +56,11 @@ def simulate(
     Parameters
     ----------
     material : str, optional
-        A named material; or give `model` and `parameters`; or neither, and a plan for a mirror.
+        A named material. Alternatives: `model` and `parameters`, or neither with a plan for a
+        mirror.
     output : path
-        Folder of the session. Where the same call was interrupted it continues: frames that were
-        acknowledged are kept, and the result is bit-identical to an uninterrupted run.
+        Folder of the session. After an interruption the same call continues: acknowledged frames
+        are kept, and the result is bit-identical to an uninterrupted run.
     model, parameters : str or Model, mapping, optional
         A model, or its name, and its parameters (radians for angles), one value or one for each
         channel of the instrument.
@@ -67,17 +68,17 @@ def simulate(
         A preset, a TOML file, or an instrument.
     plan : Plan or path, optional
         Angles, rotations, exposures, repeats, or a TOML file with a table [plan] such as
-        `gonio design -o` writes; `default_plan` where not given. See also `transmission_plan` and
+        `gonio design -o` writes; default: `default_plan`. See also `transmission_plan` and
         `mirror_plan`. Its channels are those of the instrument.
     seed : int
-        Everything random follows from it: 0 <= seed < 2**63.
+        Seed of the random numbers: 0 <= seed < 2**63.
     threads : int, optional
-        The frames do not depend on it.
+        Number of worker threads; the frames do not depend on it.
     progress : callable, optional
-        Called with (frames done, frames in all).
+        Called with (frames done, total number of frames).
     truth_images : bool, optional
-        Write what the simulator knows by the pixel into the session's folder `truth`; where not
-        given, if that takes at most a fifth of the frames' space.
+        Write the true values of each pixel to the folder `truth` of the session. Default: only if
+        they take at most a fifth of the space of the frames.
 
     Returns
     -------
@@ -88,16 +89,16 @@ def simulate(
     ConfigurationError
         For unknown names, parameters out of range, or another session at `output`.
     DataError
-        If the disk refuses to take the frames, or the file of a plan is missing.
+        If the frames cannot be written, or the file of a plan is missing.
 
     Examples
     --------
     >>> import tempfile
     >>> from gonio.instrument import preset
-    >>> rig = preset("ideal12").with_pixels(52)
+    >>> instrument = preset("ideal12").with_pixels(52)
     >>> plan = Plan(theta_i_deg=(0, 30), rotations_deg=(0,), exposures_s=(0.01, 0.1))
     >>> session = simulate("white_ceramic_tile", output=tempfile.mkdtemp() + "/tile.gonio",
-    ...                    instrument=rig, plan=plan)
+    ...                    instrument=instrument, plan=plan)
     >>> session.complete, session.n_done
     (True, 12)
     """
@@ -106,39 +107,39 @@ def simulate(
 
     if not 0 <= seed < 2**63:
         raise ConfigurationError(f"seed = {seed} is out of range; allowed is 0 to 2^63 - 1.")
-    rig = load(instrument) if isinstance(instrument, str) else instrument
+    virtual = load(instrument) if isinstance(instrument, str) else instrument
     plan = read_plan(plan) if isinstance(plan, str | Path) else plan
     is_mirror = plan is not None and plan.mode == "mirror"
-    surface = _mirror(rig, material, model) if is_mirror else _surface(
-        rig, material, model, parameters
+    surface = _mirror(virtual, material, model) if is_mirror else _surface(
+        virtual, material, model, parameters
     )  # fmt: skip
-    plan = _completed(rig, plan, surface)
-    recipe = _recipe(rig, surface, plan, seed)
+    plan = _completed(virtual, plan, surface)
+    recipe = _recipe(virtual, surface, plan, seed)
     fingerprint = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    session = Session.create(output, metadata(rig, plan, surface.name, fingerprint))
-    realisation = Realisation.from_seed(seed, rig, plan)
-    _write_truth(session.path, recipe, surface, rig, plan, realisation)
+    session = Session.create(output, metadata(virtual, plan, surface.name, fingerprint))
+    realisation = Realisation.from_seed(seed, virtual, plan)
+    _write_truth(session.path, recipe, surface, virtual, plan, realisation)
     if not session.complete:
         wanted = economical(plan) if truth_images is None else truth_images
-        _record(session, surface, rig, plan, realisation, threads, progress, wanted)
+        _record(session, surface, virtual, plan, realisation, threads, progress, wanted)
     return session
 
 
-def _completed(rig: Instrument, plan: Plan | None, surface: Surface) -> Plan:
-    """The plan with what follows from the instrument; `default_plan` where there is none."""
+def _completed(instrument: Instrument, plan: Plan | None, surface: Surface) -> Plan:
+    """The plan, completed with properties of the instrument; `default_plan` if there is none."""
     from gonio.instrument.records import channels, irradiance_uncertainty
 
     if plan is None:
         assert surface.model is not None
-        plan = default_plan(rig, anisotropic=is_anisotropic(surface.model, _named(surface)))
-    change: dict[str, Any] = {"channels": channels(rig)}
+        plan = default_plan(instrument, anisotropic=is_anisotropic(surface.model, _named(surface)))
+    change: dict[str, Any] = {"channels": channels(instrument)}
     if plan.u_irradiance is None:
-        change["u_irradiance"] = irradiance_uncertainty(rig, plan)
+        change["u_irradiance"] = irradiance_uncertainty(instrument, plan)
     return plan.model_copy(update=change)
 
 
 def _named(surface: Surface) -> dict[str, Values]:
-    """Parameters by name: a number, or a list of one a channel where they differ."""
+    """Parameters by name: a number, or a list with one value per channel if they differ."""
     if surface.model is None:
         return {}
     columns = np.stack(surface.p, axis=1).tolist()
@@ -148,19 +149,19 @@ def _named(surface: Surface) -> dict[str, Values]:
     }
 
 
-def _recipe(rig: Instrument, surface: Surface, plan: Plan, seed: int) -> dict[str, Any]:
-    """Everything that a session follows from."""
+def _recipe(instrument: Instrument, surface: Surface, plan: Plan, seed: int) -> dict[str, Any]:
+    """All inputs of a session."""
     return {
         "version": __version__,
         "model": surface.model.name if surface.model else MIRROR,
         "parameters": _named(surface),
-        "instrument": rig.model_dump(mode="json"),
+        "instrument": instrument.model_dump(mode="json"),
         "plan": plan.model_dump(mode="json"),
         "seed": seed,
     }
 
 
-def _mirror(rig: Instrument, material: str | None, model: str | Model | None) -> Surface:
+def _mirror(instrument: Instrument, material: str | None, model: str | Model | None) -> Surface:
     from gonio.instrument.images import Surface
 
     if material is not None or model is not None:
@@ -168,11 +169,11 @@ def _mirror(rig: Instrument, material: str | None, model: str | Model | None) ->
             "the plan is one for a mirror; give neither a material nor a model with it.",
             value=material or model,
         )
-    return Surface(MIRROR, None, (np.empty(0),) * len(rig.channels))
+    return Surface(MIRROR, None, (np.empty(0),) * len(instrument.channels))
 
 
 def _surface(
-    rig: Instrument,
+    instrument: Instrument,
     material: str | None,
     model: str | Model | None,
     parameters: Mapping[str, Values] | None,
@@ -188,14 +189,16 @@ def _surface(
             )
         entry = get_material(material)
         chosen = get_model(entry.model)
-        return Surface(entry.name, chosen, (chosen.vector(entry.parameters),) * len(rig.channels))
+        return Surface(
+            entry.name, chosen, (chosen.vector(entry.parameters),) * len(instrument.channels)
+        )
     assert model is not None
     chosen = get_model(model)
-    return Surface(chosen.name, chosen, parameter_vectors(rig, chosen, parameters or {}))
+    return Surface(chosen.name, chosen, parameter_vectors(instrument, chosen, parameters or {}))
 
 
 def parameter_vectors(
-    rig: Instrument, model: Model, parameters: Mapping[str, Values]
+    instrument: Instrument, model: Model, parameters: Mapping[str, Values]
 ) -> tuple[FloatArray, ...]:
     """A model's checked parameter vector for every channel of an instrument.
 
@@ -207,18 +210,18 @@ def parameter_vectors(
     Examples
     --------
     >>> from gonio.instrument import preset
-    >>> rig = preset("ideal12")
-    >>> [p.tolist() for p in parameter_vectors(rig, get_model("lambert"), {"rho": 0.3})]
+    >>> instrument = preset("ideal12")
+    >>> [p.tolist() for p in parameter_vectors(instrument, get_model("lambert"), {"rho": 0.3})]
     [[0.3]]
     """
-    n = len(rig.channels)
+    n = len(instrument.channels)
     by_name: dict[str, FloatArray] = {}
     for name, values in parameters.items():
         model.parameter(name)
         given = np.atleast_1d(np.asarray(values, float))
         if given.shape not in ((1,), (n,)):
             raise ConfigurationError(
-                f"{name} has {given.size} values and {rig.name} has {n} "
+                f"{name} has {given.size} values and {instrument.name} has {n} "
                 f"channel{'s' if n > 1 else ''}; give one value{' or one for each' * (n > 1)}.",
                 value=values,
             )
@@ -232,7 +235,7 @@ def _write_truth(
     path: Path,
     recipe: Mapping[str, Any],
     surface: Surface,
-    rig: Instrument,
+    instrument: Instrument,
     plan: Plan,
     realisation: Realisation,
 ) -> None:
@@ -241,7 +244,7 @@ def _write_truth(
     folder = path / "truth"
     folder.mkdir(exist_ok=True)
     entry = {
-        angle: imaging.entry_transmittance(rig, np.radians(angle), realisation.dome_seed)
+        angle: imaging.entry_transmittance(instrument, np.radians(angle), realisation.dome_seed)
         for role in plan.roles
         for angle in plan.incidences(role)
     }
@@ -261,14 +264,14 @@ def _write_truth(
 def _record(
     session: Session,
     surface: Surface,
-    rig: Instrument,
+    instrument: Instrument,
     plan: Plan,
     realisation: Realisation,
     threads: int | None,
     progress: Progress | None,
     truth_images: bool,
 ) -> None:
-    """Expose and write every frame that is not there yet, in the plan's order."""
+    """Expose and write every missing frame, in the order of the plan."""
     from gonio.instrument.images import Fixed, Images
 
     fixed = Fixed(
@@ -278,7 +281,7 @@ def _record(
         realisation.multibounce_scale,
         realisation.azimuth,
     )
-    images = Images(rig, surface, plan, fixed, threads=threads)
+    images = Images(instrument, surface, plan, fixed, threads=threads)
     truth = _truth_images(session, images) if truth_images else None
     writer = ThreadPoolExecutor(1)
     pending: deque[Future[None]] = deque()
@@ -290,7 +293,7 @@ def _record(
 
     try:
         for write in _frames(session, images, realisation, truth):
-            # Frames are written while later ones are exposed; the order stays the plan's.
+            # Frames are written while later ones are exposed, in the order of the plan.
             pending.append(writer.submit(write))
             if len(pending) > _MAX_PENDING:
                 finish_one()
@@ -311,7 +314,7 @@ def _truth_images(session: Session, images: Images) -> TruthImages:
 def _frames(
     session: Session, images: Images, realisation: Realisation, truth: TruthImages | None
 ) -> Iterator[Callable[[], None]]:
-    """What writes each frame that the session lacks, exposed already."""
+    """Functions that write each missing frame, which is already exposed."""
     from gonio.instrument.noise import expose
 
     plan, sensor = images.plan, images.instrument.sensor

@@ -1,4 +1,4 @@
-"""Checks of a model: reciprocity, sign, energy, isotropy, seams, against what it claims."""
+"""Checks of the claims of a model: reciprocity, sign, energy, isotropy, seams."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ ALBEDO_ANGLES_DEG = (0.0, 30.0, 45.0, 60.0, 75.0, 85.0)
 SAME = 1e-9  # relative difference up to which two values of a formula are equal
 SEAM_STEP = 1e-7  # radians to either side of a seam
 SEAM_SAME = 1e-4
-DRAWS = 20_000  # directions that stand in for the quadrature of a costly model
-CHECK_DRAWS = 8_000  # directions that are drawn to check a quadrature
+DRAWS = 20_000  # random directions instead of the quadrature, for a costly model
+CHECK_DRAWS = 8_000  # random directions that check a quadrature
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One property of a model: what it claims and what was found.
+    """One property of a model: the claim and the result of its test.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class Finding:
     claimed : bool
         Whether the model claims it.
     holds : bool
-        Whether it was found to hold.
+        Whether the property holds.
     worst : float
         Largest violation, smallest value or largest albedo; `text` says which.
     where : tuple of float or None
         theta_i, phi_i, theta_r, phi_r in degrees of the worst case; two angles for an albedo.
     text : str
-        What was found, in words and numbers.
+        The result in words and numbers.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class ModelReport:
-    """What `check_model` found.
+    """Result of `check_model`.
 
     Parameters
     ----------
@@ -104,18 +104,19 @@ class ModelReport:
             "parameters": dict(self.parameters),
             "passed": self.passed,
             "findings": [
-                {**_plain(finding), "passed": finding.passed} for finding in self.findings
+                {**_json_values(finding), "passed": finding.passed} for finding in self.findings
             ],
             "albedo": [
-                {"theta_i_deg": theta, **_plain(albedo)} for theta, albedo in self.albedos.items()
+                {"theta_i_deg": theta, **_json_values(albedo)}
+                for theta, albedo in self.albedos.items()
             ],
-            "bihemispherical_albedo": _plain(self.bihemispherical),
+            "bihemispherical_albedo": _json_values(self.bihemispherical),
             "conserves_energy": self.conserves_energy,
         }
 
 
-def _plain(record: Finding | Albedo) -> dict[str, Any]:
-    """A record as JSON can hold it: a number that is not finite becomes None."""
+def _json_values(record: Finding | Albedo) -> dict[str, Any]:
+    """A record for JSON: numbers that are not finite become None."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in asdict(record).items()
@@ -129,17 +130,17 @@ def check_model(
     rng: np.random.Generator | None = None,
     n_pairs: int = 4000,
 ) -> ModelReport:
-    """Hold a model with these parameters to its claims, and look for a gain of energy.
+    """Test the claims of a model with these parameters, and test for a gain of energy.
 
     Parameters
     ----------
     model : Model
     parameters : mapping, optional
-        Parameters by name, angles in radians; those left out take their defaults.
+        Parameters by name, angles in radians; the others have their defaults.
     rng : numpy.random.Generator, optional
-        Draws the pairs of directions; always the same pairs where not given.
+        Generator of the pairs of directions; by default the pairs are always the same.
     n_pairs : int
-        Half of them anywhere, half about the mirror direction.
+        Number of pairs of directions: half of them anywhere, half near the mirror direction.
 
     Returns
     -------
@@ -147,13 +148,12 @@ def check_model(
 
     Notes
     -----
-    The albedo is held to the bound that the model claims, most often a sum of amplitudes such as
-    rho_d + rho_s, which may itself be above 1. Where nothing is claimed it is held to 1, and an
-    albedo above that is reported and fails nothing; `ModelReport.conserves_energy` tells it of
-    every model.
+    The albedo is compared with the bound that the model claims, usually a sum of amplitudes such as
+    rho_d + rho_s, which may itself exceed 1. Without a claim it is compared with 1; a larger albedo
+    is then reported but is no failure. `ModelReport.conserves_energy` states it for every model.
 
-    Albedos are quadratures, which importance-sampled directions check: where the two disagree by
-    more than chance allows, the stated error is their difference. The bihemispherical albedo
+    Albedos are quadratures, checked by importance-sampled directions. If the two disagree by more
+    than chance allows, the stated error is their difference. The bihemispherical albedo
     of a costly model is the mean weight of such directions, its error twice the standard error.
 
     Examples
@@ -171,19 +171,19 @@ def check_model(
     w_i, w_r = _pairs(rng, n_pairs)
     f = model.evaluate(w_i, w_r, p)
     albedos = {theta: _directional(model, p, theta, rng) for theta in ALBEDO_ANGLES_DEG}
-    turned = model.evaluate(rotated(w_i, 0.7), rotated(w_r, 0.7), p)
+    f_rotated = model.evaluate(rotated(w_i, 0.7), rotated(w_r, 0.7), p)
     findings = (
         _compared("reciprocity", model.claims.reciprocal, f, model.evaluate(w_r, w_i, p), w_i, w_r),
         _positivity(model, f, w_i, w_r),
         _energy(model, named, albedos),
-        _compared("isotropy", model.claims.isotropic, f, turned, w_i, w_r),
+        _compared("isotropy", model.claims.isotropic, f, f_rotated, w_i, w_r),
         _seams(model, p),
     )
     return ModelReport(model.name, named, findings, albedos, _bihemispherical(model, p, rng))
 
 
 def _pairs(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-    """Pairs of directions: half anywhere, half about the mirror direction at every width."""
+    """Pairs of directions: half anywhere, half near the mirror direction at all widths."""
     theta, phi = rng.uniform(0, 1.55, (2, n)), rng.uniform(0, 2 * np.pi, (2, n))
     near = np.arange(n) % 2 == 1
     width = 10 ** rng.uniform(-3, -0.5, n)
@@ -198,7 +198,7 @@ def _compared(
     name: str, claimed: bool, f: FloatArray, other: FloatArray, w_i: FloatArray, w_r: FloatArray
 ) -> Finding:
     """Relative difference between two values that the property makes equal."""
-    # Far out in a lobe values are too small to matter or to have all their digits.
+    # Far from the peak of a lobe, values are negligible and may have lost digits.
     floor = max(1e-12 * float(np.nanmax(np.abs(f))), 1e-300)
     difference = np.abs(f - other) / np.maximum(np.maximum(np.abs(f), np.abs(other)), floor)
     difference = np.where(np.isfinite(difference), difference, np.inf)
@@ -231,10 +231,10 @@ def _positivity(model: Model, f: FloatArray, w_i: FloatArray, w_r: FloatArray) -
 def _energy(
     model: Model, parameters: Mapping[str, float], albedos: Mapping[float, Albedo]
 ) -> Finding:
-    """The albedo against the bound that is claimed, else against 1."""
+    """Compare the albedo with the claimed bound, or with 1."""
     names = model.claims.albedo_at_most
     bound = model.claims.albedo_bound(parameters)
-    # A value that is no number keeps no energy either.
+    # NaN also counts as a violation.
     theta, worst = max(
         albedos.items(),
         key=lambda item: math.inf if math.isnan(item[1].value) else item[1].value,
@@ -265,7 +265,7 @@ def _directional(model: Model, p: FloatArray, theta_deg: float, rng: np.random.G
     if model.costly:
         return albedo
     w_i = np.broadcast_to(unit_vectors(theta_i, 0.0), (CHECK_DRAWS, 3))
-    return _doubted(albedo, model.sample(w_i, p, rng).weight)
+    return _with_larger_error(albedo, model.sample(w_i, p, rng).weight)
 
 
 def _bihemispherical(model: Model, p: FloatArray, rng: np.random.Generator) -> Albedo:
@@ -276,18 +276,18 @@ def _bihemispherical(model: Model, p: FloatArray, rng: np.random.Generator) -> A
     weight = model.sample(w_i, p, rng).weight
     if model.costly:
         return Albedo(float(weight.mean()), 2 * _stderr(weight), n)
-    return _doubted(bihemispherical_albedo(model, _named(model, p)), weight)
+    return _with_larger_error(bihemispherical_albedo(model, _named(model, p)), weight)
 
 
-def _doubted(albedo: Albedo, weight: FloatArray) -> Albedo:
-    """A quadrature with its error, or with how far draws are from it where that is more.
+def _with_larger_error(albedo: Albedo, weight: FloatArray) -> Albedo:
+    """A quadrature with its error, or with its difference from random draws if that is larger.
 
-    All nodes may lie beside a lobe that is narrow across and long along its ridge: two rules then
-    agree, and both are wrong.
+    All nodes may miss a lobe that is narrow across and long along its ridge. Two rules then agree,
+    and both are wrong.
     """
-    apart, chance = abs(albedo.value - float(weight.mean())), 4 * _stderr(weight)
-    if apart > albedo.error + chance:
-        return replace(albedo, error=apart + chance)
+    difference, chance = abs(albedo.value - float(weight.mean())), 4 * _stderr(weight)
+    if difference > albedo.error + chance:
+        return replace(albedo, error=difference + chance)
     return albedo
 
 
@@ -314,7 +314,7 @@ def _seams(model: Model, p: FloatArray) -> Finding:
 
 
 def _at(model: Model, seam: tuple[float, ...], step: FloatArray, p: FloatArray) -> float:
-    """f beside a seam; a polar angle stepped below 0 comes up on the other side of the normal."""
+    """f next to a seam; a polar angle below 0 lies on the other side of the normal."""
     w_i = unit_vectors(seam[0] + step[0], seam[1] + step[1])
     w_r = unit_vectors(seam[2] + step[2], seam[3] + step[3])
     return float(model.evaluate(w_i, w_r, p))

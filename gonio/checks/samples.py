@@ -1,4 +1,4 @@
-"""Checks of measured samples: reciprocity, mirror symmetry, and which quantity they hold."""
+"""Checks of measured samples: reciprocity, mirror symmetry, and quantity."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from gonio.geometry import (
 )
 from gonio.samples import BRDFSamples
 
-MIN_PAIRS = 12  # fewer reciprocal pairs decide nothing
-# Pairs whose cosines differ by less than this fraction cannot tell the quantities apart.
+MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
+# Pairs whose cosines differ by less than this fraction cannot distinguish the quantities.
 MIN_CONTRAST = 0.05
 # The best quantity must halve the disagreement of the next one.
 CLEARLY_BETTER = 0.5
 UNDECIDED = "undecided"
 BRDF = "BRDF"
-# Albedo of the nearest-sample sum beyond which a constant factor is suspected.
+# Albedo of the nearest-sample sum above which a constant factor is suspected.
 SUSPECT_ALBEDO = 1.2
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """How well values agree that should be equal.
+    """Agreement of pairs of values that should be equal.
 
     Parameters
     ----------
     n_pairs : int
-        How many pairs the data hold.
+        Number of pairs in the data.
     median, rms : float or None
         Median and root mean square of |a - b| / mean(|a|, |b|); None without pairs.
     """
@@ -48,33 +48,33 @@ class Pairing:
 
 @dataclass(frozen=True)
 class SamplesReport:
-    """What `check_samples` found.
+    """Result of `check_samples`.
 
     Parameters
     ----------
     n_samples, n_negative : int
-        How many samples, and how many of them are below zero.
+        Number of samples, and of samples below zero.
     tolerance_deg : float
-        How far each direction of a pair was allowed to lie from the exact partner.
+        Largest allowed angle between each direction of a pair and its exact partner.
     reciprocity : Pairing
         Values with light and viewer exchanged.
     mirror : Pairing
         Values at phi_r - phi_i = +x and -x, equal on an isotropic surface.
     assumed_isotropic : bool
-        Whether reciprocal partners were sought at any azimuth of the sample and on either side of
-        the plane of incidence, because the data hold too few others.
+        Whether reciprocal partners were searched at any azimuth of the sample and on both sides of
+        the plane of incidence, because the data contain too few others.
     quantity : str
         One of the names in `candidates`, or "undecided".
     candidates : mapping
-        Median disagreement of reciprocal pairs if the file holds this quantity; empty without
-        pairs that tell the quantities apart.
+        Median disagreement of reciprocal pairs if the file holds this quantity; empty without pairs
+        that distinguish the quantities.
     n_telling : int
-        How many pairs tell the quantities apart.
+        Number of pairs that distinguish the quantities.
     albedo : float or None
         Largest directional albedo by a rough sum over nearest samples, after the quantity's cosine
-        is removed; None where the data cover too little.
+        is removed; None if the data cover too little of the hemisphere.
     notes : tuple of str
-        What the numbers mean and what they cannot tell.
+        What the numbers mean, and what they cannot decide.
     """
 
     n_samples: int
@@ -91,7 +91,7 @@ class SamplesReport:
 
     @property
     def passed(self) -> bool:
-        """False where the data say that they are not a BRDF."""
+        """False if the data show that they are not a BRDF."""
         return self.quantity in (BRDF, UNDECIDED)
 
     def describe(self) -> dict[str, Any]:
@@ -100,14 +100,14 @@ class SamplesReport:
 
 
 def check_samples(samples: BRDFSamples, *, tolerance_deg: float = 2.0) -> SamplesReport:
-    """Look for reciprocal and mirrored pairs in data, and tell which quantity they hold.
+    """Compare reciprocal and mirrored pairs of samples, and decide which quantity they hold.
 
     Parameters
     ----------
     samples : BRDFSamples
-        Values that may be a BRDF or a BRDF with a cosine left in.
+        Values that are a BRDF, or a BRDF times a cosine.
     tolerance_deg : float
-        How far each direction of a pair may lie from the exact partner.
+        Largest angle between each direction of a pair and its exact partner.
 
     Returns
     -------
@@ -115,9 +115,9 @@ def check_samples(samples: BRDFSamples, *, tolerance_deg: float = 2.0) -> Sample
 
     Notes
     -----
-    A BRDF is reciprocal; with one cosine left in it is not, and dividing by the right cosine makes
-    it so. What is symmetric in light and viewer stays unseen: a constant factor such as pi, or
-    cos(theta_i) cos(theta_r). BRDF / cos(theta_i) breaks reciprocity exactly as
+    A BRDF is reciprocal. A BRDF times one cosine is not, and division by the right cosine restores
+    reciprocity. A factor that is symmetric in light and viewer cannot be detected: a constant such
+    as pi, or cos(theta_i) cos(theta_r). BRDF / cos(theta_i) breaks reciprocity exactly as
     BRDF * cos(theta_r) does.
 
     Examples
@@ -137,9 +137,9 @@ def check_samples(samples: BRDFSamples, *, tolerance_deg: float = 2.0) -> Sample
     delta = _azimuth_between(theta_i, phi_i, theta_r, phi_r)
     zero = np.zeros_like(delta)
 
-    own = Directions(theta_i, phi_i, theta_r, phi_r)
-    k, j = _partners(own, own.swapped(), group, tolerance)
-    # Where the sample was never turned, only the plane of incidence holds such partners.
+    directions = Directions(theta_i, phi_i, theta_r, phi_r)
+    k, j = _partners(directions, directions.swapped(), group, tolerance)
+    # If the sample was never rotated, only the plane of incidence holds such partners.
     assumed = _one_azimuth(phi_i[theta_i > tolerance], tolerance) or len(k) < MIN_PAIRS
     if assumed:
         folded = Directions(theta_i, zero, theta_r, np.abs(delta))
@@ -181,7 +181,7 @@ def check_samples(samples: BRDFSamples, *, tolerance_deg: float = 2.0) -> Sample
 
 
 def _groups(samples: BRDFSamples) -> NDArray[np.int64]:
-    """A number for each wavelength and channel: values are compared within one only."""
+    """Group index by wavelength and channel; values are compared within a group only."""
     n = len(samples)
     group = np.zeros(n, np.int64)
     for column in (samples.wavelength_nm, samples.channel):
@@ -213,23 +213,23 @@ def _azimuth_between(
 def _partners(
     have: Directions, want: Directions, group: NDArray[np.int64], tolerance: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs (k, j), each once: sample j lies where `want` asks for the partner of sample k."""
+    """Pairs (k, j), each once: sample j lies in the direction `want` of the partner of sample k."""
     from scipy.spatial import cKDTree
 
     if len(group) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    # Groups are farther from each other than any two directions.
-    apart = 10.0 * group[:, None]
-    points = np.hstack([*have.vectors(), apart])
-    wanted = np.hstack([*want.vectors(), apart])
-    distance, nearest = cKDTree(points).query(wanted, distance_upper_bound=1.5 * tolerance)
-    k = np.flatnonzero(np.isfinite(distance))
+    # Groups lie farther from each other than any two directions.
+    separation = 10.0 * group[:, None]
+    points = np.hstack([*have.vectors(), separation])
+    wanted = np.hstack([*want.vectors(), separation])
+    joint_distance, nearest = cKDTree(points).query(wanted, distance_upper_bound=1.5 * tolerance)
+    k = np.flatnonzero(np.isfinite(joint_distance))
     j = np.asarray(nearest[k], np.int64)
-    off = np.maximum(
+    distance = np.maximum(
         np.linalg.norm(points[j, :3] - wanted[k, :3], axis=1),
         np.linalg.norm(points[j, 3:6] - wanted[k, 3:6], axis=1),
     )
-    keep = (off <= tolerance) & (k != j)
+    keep = (distance <= tolerance) & (k != j)
     pairs = np.unique(np.sort(np.stack([k[keep], j[keep]], axis=1), axis=1), axis=0)
     return pairs[:, 0], pairs[:, 1]
 
@@ -253,9 +253,9 @@ def _quantity(
     k: NDArray[np.int64],
     j: NDArray[np.int64],
 ) -> tuple[str, dict[str, float], int]:
-    """The quantity whose cosine makes reciprocal pairs agree best, and all the numbers."""
+    """The quantity for which pairs agree best, the disagreements, and the number of pairs."""
     cos_r = cosines["BRDF*cos(theta_r)"]
-    # The horizon has no cosine to divide by.
+    # At the horizon the cosine is 0 and cannot be divided by.
     above = np.min([np.minimum(c[k], c[j]) for c in cosines.values()], axis=0) > 1e-6
     telling = above & (_disagreement(cos_r[k], cos_r[j]) > MIN_CONTRAST)
     k, j = k[telling], j[telling]
@@ -277,7 +277,7 @@ def _rough_albedo(
     f: FloatArray,
     group: NDArray[np.int64],
 ) -> float | None:
-    """Largest directional albedo, each direction of the hemisphere given its nearest sample."""
+    """Largest directional albedo, from the sample nearest to each direction of the hemisphere."""
     from scipy.spatial import cKDTree
 
     theta, phi, weight = hemisphere_quadrature(16, 32)
@@ -289,12 +289,12 @@ def _rough_albedo(
     index = index.ravel()
     counts = np.bincount(index, minlength=len(unique))
     for number in np.flatnonzero(counts >= 20):
-        mine = index == number
-        points = unit_vectors(theta_r[mine], delta[mine])
+        members = index == number
+        points = unit_vectors(theta_r[members], delta[members])
         distance, nearest = cKDTree(points).query(grid)
         # Nine tenths of the projected hemisphere lie within 20 degrees of a sample.
         if np.sum((weight * np.cos(theta))[distance < 0.35]) > 0.9 * np.pi:
-            albedo = float(np.sum(weight * np.cos(theta) * f[mine][nearest]))
+            albedo = float(np.sum(weight * np.cos(theta) * f[members][nearest]))
             largest = albedo if largest is None else max(largest, albedo)
     return largest
 

@@ -1,7 +1,7 @@
 """The command `gonio`: one file of this folder is one command, imported when it is run.
 
-Exit codes: 0 done; 1 the result did not meet its own checks, or a fault in gonio; 2 usage or
-configuration; 3 data that cannot be used; 4 interrupted, the same command continues.
+Exit codes: 0 success; 1 the result fails its own checks, or gonio has a fault; 2 wrong usage or
+configuration; 3 unusable data; 4 interrupted: the same command continues.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class _Commands(click.RichGroup):
 def group(ctx: click.Context) -> None:
     """A virtual imaging gonioreflectometer and a BRDF fitting toolkit.
 
-    simulate records raw frames, reduce turns them into BRDF samples, fit finds the parameters
-    of a reflectance model. 'gonio COMMAND --help' tells more.
+    simulate records raw frames, reduce turns them into BRDF samples, fit estimates the parameters
+    of a reflectance model. 'gonio COMMAND --help' describes a command.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help(), err=True)
@@ -94,7 +94,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     Parameters
     ----------
     args : sequence of str, optional
-        The words after `gonio`; those of this process where not given.
+        Arguments after `gonio`; those of this process by default.
     """
     code = _run(args)
     try:
@@ -111,24 +111,24 @@ def _run(args: Sequence[str] | None) -> int:
     try:
         code = group.main(args, prog_name="gonio", standalone_mode=False)
     except GonioError as error:
-        return _told(error)
+        return _print_error(error)
     except click.ClickException as error:
-        return _told_as_usage(error)
+        return _print_usage(error)
     except (click.Abort, KeyboardInterrupt):
-        return _told(SessionInterruptedError("interrupted; run the same command again."))
+        return _print_error(SessionInterruptedError("interrupted; run the same command again."))
     except OSError as error:
-        return _told_by_system(error)
+        return _print_system_error(error)
     except Exception as error:
-        return _told_as_fault(error)
+        return _print_fault(error)
     return code if isinstance(code, int) else 0
 
 
-def _told(error: GonioError) -> int:
+def _print_error(error: GonioError) -> int:
     _say(str(error) if isinstance(error, SessionInterruptedError) else f"Error: {error}")
     return error.exit_code
 
 
-def _told_as_usage(error: click.ClickException) -> int:
+def _print_usage(error: click.ClickException) -> int:
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is not None:
         pieces = " ".join(context.command.collect_usage_pieces(context))
@@ -138,16 +138,16 @@ def _told_as_usage(error: click.ClickException) -> int:
     return error.exit_code
 
 
-def _told_by_system(error: OSError) -> int:
-    """A file or a disk that refuses, where no step of gonio said so in its own words."""
+def _print_system_error(error: OSError) -> int:
+    """Report an error of the operating system that no part of gonio has turned into its own."""
     if error.errno is None or error.errno == errno.EPIPE:
-        return _told_as_fault(error)
+        return _print_fault(error)
     where = f"{error.filename}: " if error.filename is not None else ""
     _say(f"Error: {where}{error.strerror}.")
     return 3
 
 
-def _told_as_fault(error: Exception) -> int:
+def _print_fault(error: Exception) -> int:
     if os.environ.get("GONIO_DEBUG") == "1":
         traceback.print_exception(error)
         return 1

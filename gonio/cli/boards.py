@@ -23,14 +23,15 @@ _OPTIONS = (
         type=click.Choice(["charuco", "chessboard"]),
         default="charuco",
         show_default=True,
-        help="charuco is found in parts, a plain chessboard only whole.",
+        help="A charuco board is detected even if only part of it is visible; a plain chessboard "
+        "must be visible as a whole.",
     ),
     click.option(
         "--squares",
         default="12x9",
         show_default=True,
         metavar="COLUMNSxROWS",
-        help="Squares of the board, black and white ones.",
+        help="Number of columns and rows of squares, black and white together.",
     ),
     click.option(
         "--square-mm",
@@ -38,20 +39,20 @@ _OPTIONS = (
         default=20.0,
         show_default=True,
         metavar="MM",
-        help="Side of a square.",
+        help="Side length of a square.",
     ),
     click.option(
         "--marker-mm",
         type=float,
         metavar="MM",
-        help="Side of a marker of a charuco board; 3/4 of the square where not given.",
+        help="Side length of a marker of a charuco board; default: 3/4 of the square.",
     ),
     click.option(
         "--dictionary",
         default="4x4_100",
         show_default=True,
         metavar="NAME",
-        help="Markers of a charuco board, as OpenCV names them without DICT_.",
+        help="Marker dictionary of a charuco board: OpenCV's name without DICT_.",
     ),
 )
 
@@ -92,7 +93,7 @@ def chosen_board(
     "printed",
     metavar="BOARD.svg",
     type=click.Path(path_type=Path),
-    help="Write the board itself to print, .svg or .png.",
+    help="Write the board to a file for printing, .svg or .png.",
 )
 @click.option(
     "--instrument",
@@ -100,7 +101,7 @@ def chosen_board(
     default="modern12",
     show_default=True,
     metavar="PRESET|FILE.toml",
-    help="Whose camera takes the photographs; see 'gonio instruments'.",
+    help="Instrument whose camera takes the photographs; see 'gonio instruments'.",
 )
 @click.option(
     "--count",
@@ -116,7 +117,7 @@ def chosen_board(
     default=0,
     show_default=True,
     metavar="N",
-    help="Poses of the board and noise follow from this number.",
+    help="Seed of the random numbers: poses of the board and noise.",
 )
 @click.option(
     "--binning",
@@ -124,37 +125,38 @@ def chosen_board(
     default=1,
     show_default=True,
     metavar="N",
-    help="Side of the block of the sensor's pixels that makes one of a photograph.",
+    help="Binning: N x N sensor pixels make one pixel of a photograph.",
 )
 @click.option(
     "--bits",
     type=click.Choice(["8", "16"]),
     default="8",
     show_default=True,
-    help="Of the PNG files.",
+    help="Bits per pixel of the PNG files.",
 )
 @click.option(
     "--centre-offset-px",
     metavar="COLUMNS,ROWS",
-    help="Lens axis from the sensor's middle, unbinned pixels; the instrument's where not given.",
+    help="Offset of the lens axis from the middle of the sensor, in unbinned pixels; "
+    "default: that of the instrument.",
 )
 @click.option(
     "--psf-px",
     type=float,
     metavar="SD",
-    help="Blur of the lens, unbinned pixels; the instrument's where not given.",
+    help="Blur of the lens, in unbinned pixels; default: that of the instrument.",
 )
 @click.option(
     "--field-deg",
     type=float,
     metavar="DEG",
-    help="Full field of the lens, beyond 180 too; the instrument's where not given.",
+    help="Full field of view of the lens, may exceed 180; default: that of the instrument.",
 )
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads to use; the photographs do not depend on it.",
+    help="Number of worker threads; the photographs do not depend on it.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
@@ -178,14 +180,15 @@ def command(
 ) -> None:
     """Photograph a calibration board with a virtual camera, or write the board to print.
 
-    The photographs go to FOLDER, in the middle of the field, half-way and at the rim; what they
-    show is in FOLDER/truth. 'gonio calibrate lens' turns photographs into a calibrated lens.
+    The photographs are written to FOLDER. They show the board in the middle of the field, half-way
+    and at the rim. FOLDER/truth holds the true poses. 'gonio calibrate lens' turns the photographs
+    into a calibrated lens.
     """
     if output is None and printed is None:
         raise ConfigurationError("give -o FOLDER for photographs or --print BOARD.svg for a board.")
     from gonio.instrument import load
 
-    rig = load(instrument)
+    chosen_instrument = load(instrument)
     board = chosen_board(kind, squares, square_mm, marker_mm, dictionary)
     if printed is not None:
         _print_board(board, printed)
@@ -196,7 +199,7 @@ def command(
     from gonio.verbs.boards import boards
 
     camera = BoardCamera.of(
-        rig,
+        chosen_instrument,
         binning=binning,
         centre_offset_px=None if centre_offset_px is None else _pair(centre_offset_px),
         psf_px=psf_px,
@@ -213,7 +216,7 @@ def command(
             threads=threads,
             progress=callback,
         )
-    _tell(board, camera, output, photos.paths, as_json)
+    _print(board, camera, output, photos.paths, as_json)
 
 
 def _print_board(board: Board, path: Path) -> None:
@@ -234,15 +237,15 @@ def _pair(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _tell(
+def _print(
     board: Board, camera: BoardCamera, folder: Path, paths: list[Path], as_json: bool
 ) -> None:
     import json
 
     from gonio.cli.options import echo_json
 
-    known = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
-    reach = max(photo["theta_max_deg"] for photo in known["photos"])
+    truth = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
+    reach = max(photo["theta_max_deg"] for photo in truth["photos"])
     pitch = [1e3 * p for p in camera.pitch_mm.tolist()]
     if as_json:
         echo_json(

@@ -26,16 +26,19 @@ _NAMES = ("theta_i", "phi_i", "theta_r", "phi_r")
 @click.option(
     "--at",
     metavar="THETA_I,PHI_I,THETA_R,PHI_R",
-    help="Of the sample nearest to these directions, degrees, in place of all.",
+    help="Show the budget of the sample nearest to these directions (degrees) instead of all "
+    "samples.",
 )
 @click.option(
     "--select",
     "selections",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Samples of a file to take, such as wavelength=650 or channel=red.",
+    help="Use part of a file, such as wavelength=650 or channel=red.",
 )
-@click.option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads to use.")
+@click.option(
+    "--threads", type=click.IntRange(min=1), metavar="N", help="Number of worker threads."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print the table as CSV, with all digits.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print the table as LaTeX, in per cent.")
@@ -50,19 +53,22 @@ def command(
 ) -> None:
     """List where the uncertainty of BRDF samples comes from.
 
-    Every source with its standard uncertainty in per cent of f: the median over the samples, and
-    the 5th and 95th percentile. Errors that turn the viewing direction count by the slope of f
-    over neighbouring samples. What nobody stated is listed as unknown and not counted.
+    The table has a row for each source: its standard uncertainty in per cent of f, as the median
+    over the samples and the 5th and 95th percentile. An error of the viewing direction is converted
+    by the slope of f over neighbouring samples. A source without a stated uncertainty is listed as
+    unknown and not counted.
     """
     from gonio.cli.options import echo_json, refuse_both
 
     refuse_both(as_json, as_csv, as_latex)
-    place = None if at is None else _directions(at)
+    directions = None if at is None else _directions(at)
     require_measured(source)
     from gonio.calibration.budget import budget
 
-    found = budget(read_source(source, pairs(selections), threads))
-    report = found.describe(None if place is None else found.nearest(*place))
+    uncertainties = budget(read_source(source, pairs(selections), threads))
+    report = uncertainties.describe(
+        None if directions is None else uncertainties.nearest(*directions)
+    )
     if as_json:
         echo_json({**report, "source": str(source)})
     elif as_csv or as_latex:
@@ -125,7 +131,7 @@ def _show(report: dict[str, Any], source: Path) -> None:
 
 
 def table_lines(rows: Sequence[Sequence[str]], width: int) -> list[str]:
-    """Lines of a table: text to the left, numbers to the right, at least a blank between columns.
+    """Lines of a table: texts flush left, numbers flush right, at least one blank between columns.
 
     Parameters
     ----------
@@ -169,8 +175,8 @@ def _what(report: dict[str, Any]) -> str:
         where = ", ".join(f"{name} {at[name] + 0.0:.4g}" for name in _NAMES)
         return f"{kind} {at['value']:.4g} sr^-1 at {where} deg"
     left = report["n_left_out"]
-    rest = f", {left} of them 0 within their noise and left out" if left else ""
-    return f"{kind}, {n} samples{rest}"
+    left_out = f", {left} of them 0 within their noise and left out" if left else ""
+    return f"{kind}, {n} samples{left_out}"
 
 
 def _figures(summary: dict[str, float] | None, at: Any) -> tuple[str, ...]:
@@ -182,7 +188,7 @@ def _figures(summary: dict[str, float] | None, at: Any) -> tuple[str, ...]:
 
 
 def _percent(x: float) -> str:
-    """Three digits or so, without the sign.
+    """A percentage with about three digits, without the sign %.
 
     Examples
     --------

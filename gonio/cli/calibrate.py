@@ -1,4 +1,4 @@
-"""`gonio calibrate`: what a rig is, from photographs and frames taken for the purpose."""
+"""`gonio calibrate`: lens and alignment of a rig, from photographs and frames taken for this."""
 
 from __future__ import annotations
 
@@ -32,4 +32,4 @@ class _Subcommands(click.RichGroup):
 
 @click.group(name="calibrate", cls=_Subcommands)
 def command() -> None:
-    """Calibrate a rig from photographs and frames taken for the purpose."""
+    """Calibrate the lens or the alignment of a rig from photographs or frames taken for this."""

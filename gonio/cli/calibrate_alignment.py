@@ -1,4 +1,4 @@
-"""`gonio calibrate alignment`: frames of a mirror -> where dome and camera stand."""
+"""`gonio calibrate alignment`: frames of a mirror -> positions of dome and camera."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="File to write, for 'gonio reduce --geometry'.",
 )
-@click.option("--R-mm", "r_mm", type=float, metavar="MM", help="The dome's R, if it was measured.")
+@click.option("--R-mm", "r_mm", type=float, metavar="MM", help="Measured radius R of the dome.")
 @click.option(
     "--u-R-mm", "u_r_mm", type=float, metavar="MM", help="Standard uncertainty of --R-mm."
 )
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     "--separation-mm",
     type=float,
     metavar="MM",
-    help="Distance from the camera's pupil to the target, 2 D, if it was measured.",
+    help="Measured distance 2 D from the pupil of the camera to the target.",
 )
 @click.option(
     "--u-separation-mm",
@@ -55,9 +55,10 @@ def command(
     """Fit R, D, pupil, image centre and azimuth of the camera to the spots of a mirror.
 
     SESSION holds frames of a mirror in place of the sample ('gonio simulate --mirror'). Directions
-    do not change when all lengths grow alike: give one that was measured, or lengths stay multiples
-    of R. Which figures the spots determine is said, the others are left as they were: lamp on both
-    sides and a wedge of 10 deg or more, turned to three azimuths, determine all.
+    do not change if all lengths are scaled by the same factor. Give one measured length, or all
+    lengths remain multiples of R. The output states which quantities the spots determine; the
+    others keep their values. To determine all of them, put the lamp on both sides and use a wedge
+    of at least 10 deg at three azimuths.
     """
     from gonio.cli.options import check_target
     from gonio.session import Session
@@ -77,7 +78,7 @@ def command(
         separation=_length("separation", separation_mm, u_separation_mm),
     )
     result.save(output)
-    _tell(result.alignment, result.without_spot, output, as_json)
+    _print(result.alignment, result.without_spot, output, as_json)
 
 
 def _length(name: str, value: float | None, u: float | None) -> Length | None:
@@ -93,7 +94,7 @@ def _length(name: str, value: float | None, u: float | None) -> Length | None:
     return Length(value, u)
 
 
-def _tell(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bool) -> None:
+def _print(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bool) -> None:
     from gonio.calibration.dome.alignment import UNITS
     from gonio.cli.options import echo_json
 
@@ -122,8 +123,8 @@ def _tell(alignment: Alignment, lost: dict[str, str], output: Path, as_json: boo
     width = max(map(len, alignment.values))
     for name, value in alignment.values.items():
         sd = alignment.sd[name]
-        known = _undetermined(name, alignment) if sd is None else f"+- {sd:.2g} {units[name]}"
-        click.echo(f"{name:<{width}}  {value:12.5f}  {known}")
+        uncertainty = _undetermined(name, alignment) if sd is None else f"+- {sd:.2g} {units[name]}"
+        click.echo(f"{name:<{width}}  {value:12.5f}  {uncertainty}")
     click.echo(
         f"{len(alignment.names)} spots, residuals of {alignment.rms_px:.3g} px rms; chi2 "
         f"{alignment.chi2:.3g} with {alignment.dof} degrees of freedom"

@@ -33,7 +33,7 @@ _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
     "--pitch-um",
     required=True,
     metavar="X[,Y]",
-    help="Pitch of the photographs' pixels.",
+    help="Pixel pitch of the photographs.",
 )
 @board_options
 @click.option(
@@ -42,7 +42,7 @@ _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
     default=1,
     show_default=True,
     metavar="N",
-    help="Side of the block of the photographs' pixels that makes a pixel of the frames.",
+    help="Binning: N x N pixels of the photographs make one pixel of the frames.",
 )
 @click.option(
     "--field-deg",
@@ -50,15 +50,15 @@ _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
     default=180.0,
     show_default=True,
     metavar="DEG",
-    help="Full field of the lens, where the image circle ends.",
+    help="Full field of view of the lens, at the edge of the image circle.",
 )
-@click.option("--fit-aspect", is_flag=True, help="Fit the ratio of the two pitches too.")
+@click.option("--fit-aspect", is_flag=True, help="Also fit the ratio of the two pixel pitches.")
 @click.option(
     "--map",
     "picture",
     metavar="RESIDUALS.png",
     type=click.Path(path_type=Path),
-    help="Picture of the residuals, .png, .pdf or .svg.",
+    help="Write a plot of the residuals, .png, .pdf or .svg.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
@@ -78,10 +78,10 @@ def command(
 ) -> None:
     """Fit a fisheye lens to photographs of a board, in the axes and pixels of raw frames.
 
-    PHOTO is a picture or a folder of pictures, 15 to 30 of them, as the sensor has them: not
-    flipped, not cropped, in the window of the frames. Show the board in all parts of the field,
-    at the rim too, and tilted. The lens is Kannala and Brandt's; OpenCV's own calibrations of the
-    same corners are printed beside it.
+    PHOTO is an image file or a folder of image files. Take 15 to 30 photographs with the readout
+    window of the frames; do not flip or crop them. Show the board in all parts of the field,
+    including the rim, and tilted. The lens model is that of Kannala and Brandt. The output compares
+    it with calibrations of the same corners by OpenCV.
     """
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
@@ -99,7 +99,7 @@ def command(
     from gonio.calibration.lens.from_photos import calibrate_lens
 
     with progress(f"finding the board in {len(paths)} photographs", "readings") as callback:
-        found = calibrate_lens(
+        calibrated = calibrate_lens(
             paths,
             board,
             pitch_mm=pitch_mm,
@@ -107,18 +107,18 @@ def command(
             free_ratio=fit_aspect,
             progress=callback,
         )
-    checks = cross_check(found.fit, found.shape)
-    content = lens_file.document(found, checks, frame_binning=frame_binning)
+    checks = cross_check(calibrated.fit, calibrated.shape)
+    content = lens_file.document(calibrated, checks, frame_binning=frame_binning)
     lens_file.write(output, content)
     if picture is not None:
-        _draw(found, picture)
-    for warning in found.warnings():
+        _draw(calibrated, picture)
+    for warning in calibrated.warnings():
         click.echo(f"Warning: {warning}", err=True)
-    _tell(content, found, output, as_json)
+    _print(content, calibrated, output, as_json)
 
 
 def _pictures(given: tuple[Path, ...]) -> list[Path]:
-    """The files, and those in the folders, that were given."""
+    """The given files, and the image files in the given folders."""
     paths: list[Path] = []
     for path in given:
         if not path.is_dir():
@@ -145,7 +145,7 @@ def _pitch_mm(text: str) -> tuple[float, float]:
 
 
 def _check_picture(picture: Path | None) -> None:
-    """Refuse a picture that cannot be written before the work, not after."""
+    """Refuse, before the computation, an output file that cannot be written."""
     if picture is None:
         return
     from gonio.cli.options import check_target
@@ -155,15 +155,17 @@ def _check_picture(picture: Path | None) -> None:
     check_target(picture)
 
 
-def _draw(found: LensFromPhotos, picture: Path) -> None:
+def _draw(calibrated: LensFromPhotos, picture: Path) -> None:
     from gonio.plotting import save
     from gonio.plotting.lens import residual_map
 
-    save(residual_map(found), picture)
+    save(residual_map(calibrated), picture)
     click.echo(f"written to {picture}", err=True)
 
 
-def _tell(content: dict[str, Any], found: LensFromPhotos, output: Path, as_json: bool) -> None:
+def _print(
+    content: dict[str, Any], calibrated: LensFromPhotos, output: Path, as_json: bool
+) -> None:
     from gonio.cli.options import echo_json
 
     if as_json:
@@ -172,7 +174,7 @@ def _tell(content: dict[str, Any], found: LensFromPhotos, output: Path, as_json:
     _show_figures(content)
     _show_angles(content)
     fit = content["fit"]
-    for name, why in found.dropped.items():
+    for name, why in calibrated.dropped.items():
         click.echo(f"not used: {name}: {why}.")
     dropped = f", {fit['n_outliers']} more left out as outliers" if fit["n_outliers"] else ""
     click.echo(

@@ -27,14 +27,15 @@ _WIDTH = 80
     "items",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A parameter of the model, angles in degrees; repeat for each. See 'gonio models MODEL'.",
+    help="Value of a parameter of the model, angles in degrees; repeat for each parameter. "
+    "See 'gonio models MODEL'.",
 )
 @click.option(
     "--select",
     "selections",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Samples of a file to check, such as wavelength=650 or channel=red.",
+    help="Check part of a file, such as wavelength=650 or channel=red.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 @click.pass_context
@@ -45,11 +46,11 @@ def command(
     selections: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Check a model or a file: reciprocity, energy, which quantity.
+    """Check a model or a file for reciprocity, energy and quantity.
 
-    TARGET is a model, a material or a file of BRDF samples. A model is held to what it claims; a
-    file is asked for reciprocal pairs, and whether a cosine was left in its values. The exit code
-    is 1 where a claim fails or the values are not a BRDF.
+    TARGET is a model, a material or a file of BRDF samples. A model is tested against its claims.
+    The samples of a file are tested for reciprocity, which also shows whether the values still
+    contain a cosine. The exit code is 1 if a claim fails or the values are not a BRDF.
     """
     from gonio.cli.options import echo_json
 
@@ -70,7 +71,7 @@ def command(
 
 
 def _model_of(target: str, items: tuple[str, ...]) -> tuple[Model | None, dict[str, float]]:
-    """The model and parameters that the target names; no model where it is a file."""
+    """The model and parameters that the target names; None if it is a file."""
     from gonio.cli.options import parse_parameters
 
     named = named_target(target)
@@ -98,15 +99,15 @@ def _check_file(
 
 
 def _selected(selections: tuple[str, ...]) -> dict[str, str]:
-    found = {}
+    by_key = {}
     for item in selections:
         key, sign, value = (part.strip() for part in item.partition("="))
         if not sign or not key or not value:
             raise ConfigurationError(
                 f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
             )
-        found[key] = value
-    return found
+        by_key[key] = value
+    return by_key
 
 
 def _document(model: Model, report: ModelReport) -> dict[str, Any]:
@@ -171,13 +172,13 @@ def _show_samples(path: Path, report: SamplesReport) -> None:
 
 def _show_pairing(name: str, pairing: Pairing) -> None:
     median, rms = (
-        "-" if number is None else f"{number:.1%}" for number in (pairing.median, pairing.rms)
+        "-" if fraction is None else f"{fraction:.1%}" for fraction in (pairing.median, pairing.rms)
     )
     click.echo(f"{name:<28} {pairing.n_pairs:>7} {median:>8} {rms:>8}")
 
 
 def _say(text: str, start: str = "") -> None:
-    """A paragraph in 80 columns, hanging after its start."""
+    """Print a paragraph of 80 columns, indented after its start."""
     click.echo(
         textwrap.fill(
             text,

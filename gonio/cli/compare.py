@@ -1,4 +1,4 @@
-"""`gonio compare`: which of several models the samples prefer."""
+"""`gonio compare`: which of several models predicts the samples best."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from gonio.cli.completion import complete_models
-from gonio.cli.constraints import constraint_options, constraints_told, read_fixed, read_tied
+from gonio.cli.constraints import constraint_options, constraints_line, read_fixed, read_tied
 from gonio.cli.inputs import require_measured
 from gonio.cli.measured import read_samples, sample_options
 from gonio.errors import ConfigurationError
@@ -30,20 +30,20 @@ LARGE = 1e5  # from which a number is written with an exponent
     shell_complete=complete_models,
     required=True,
     metavar="MODEL,MODEL,...",
-    help="Models to compare, two at least.",
+    help="Models to compare, at least two.",
 )
 @sample_options
 @constraint_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
-              help="Seed of everything random.")  # fmt: skip
+              help="Seed of the random numbers.")  # fmt: skip
 @click.option("--threads", type=click.IntRange(min=1), metavar="N",
-              help="Threads to use; the result does not depend on it.")  # fmt: skip
+              help="Number of worker threads; the result does not depend on it.")  # fmt: skip
 @click.option(
     "-o",
     "--output",
     metavar="OUT.json",
     type=click.Path(path_type=Path),
-    help="Where to write the comparison.",
+    help="File to write the comparison to.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print the table as CSV, with all digits.")
@@ -68,9 +68,9 @@ def command(
 ) -> None:
     """Compare models on the BRDF samples of INPUT.
 
-    Each model is fitted, then predicts every incidence from a fit to all others. The best comes
-    first, with the differences of the others to it. The exit code is 1 where a fit did not meet
-    its own checks.
+    Each model is fitted to all samples. It then predicts the samples of each incidence from a fit
+    to all other incidences. The table begins with the best model and shows the differences of the
+    others from it. The exit code is 1 if a fit fails its own checks.
     """
     from gonio.cli.options import check_target, refuse_both
     from gonio.cli.progress import progress
@@ -86,7 +86,7 @@ def command(
 
     samples, cuts = read_samples(source, selections, max_theta_i, max_theta_r, threads)
     with progress(f"comparing {len(models)} models", "models") as callback:
-        found = compare(
+        comparison = compare(
             samples,
             models,
             weights=weights,
@@ -97,37 +97,37 @@ def command(
             cuts=cuts,
             progress=callback,
         )
-    found = replace(found, source={**found.source, "input": str(source)})
+    comparison = replace(comparison, source={**comparison.source, "input": str(source)})
     if output is not None:
-        found.save(output)
+        comparison.save(output)
     if as_json:
-        click.echo(found.to_json(), nl=False)
+        click.echo(comparison.to_json(), nl=False)
     elif as_csv or as_latex:
         from gonio.reporting.tables import comparison_table
 
-        table = comparison_table(found)
+        table = comparison_table(comparison)
         click.echo(table.latex() if as_latex else table.csv(), nl=False)
     else:
-        _tell(found, output)
-    if not found.ok:
+        _print(comparison, output)
+    if not comparison.ok:
         ctx.exit(1)
 
 
 def _fixed(models: list[Model], items: tuple[str, ...]) -> dict[str, float]:
-    """Fixed values of parameters that one of the models has, at least."""
-    found: dict[str, float] = {}
+    """Fixed values of parameters; at least one of the models has each of them."""
+    fixed: dict[str, float] = {}
     for item in items:
         name = item.partition("=")[0].strip()
         owners = [model for model in models if name in model.names]
-        again = [*found, name].count(name) > 1
+        again = [*fixed, name].count(name) > 1
         if again:
             raise ConfigurationError(f"--fix {name} is given twice; give it once.", value=item)
-        found |= read_fixed(owners[0] if owners else models[0], (item,))
-    return found
+        fixed |= read_fixed(owners[0] if owners else models[0], (item,))
+    return fixed
 
 
 def _names(text: str) -> list[str]:
-    """Models of a list with commas; too few are refused before anything is read."""
+    """Models of a comma-separated list; fewer than two are refused before a file is read."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if len(names) < 2:
         raise ConfigurationError(
@@ -137,8 +137,8 @@ def _names(text: str) -> list[str]:
     return names
 
 
-def _tell(found: Comparison, output: Path | None) -> None:
-    """The comparison as a table, what it means under it."""
+def _print(comparison: Comparison, output: Path | None) -> None:
+    """Print the comparison as a table, followed by the conclusion."""
     import shutil
 
     from rich import box
@@ -146,49 +146,50 @@ def _tell(found: Comparison, output: Path | None) -> None:
     from rich.table import Table
 
     click.echo(
-        f"{found.n_samples} samples, {len(found.groups)} incidences{cuts_line(found.cuts)}; "
-        f"weights: {WEIGHTS[found.weights]}"
+        f"{comparison.n_samples} samples, {len(comparison.groups)} incidences"
+        f"{cuts_line(comparison.cuts)}; "
+        f"weights: {WEIGHTS[comparison.weights]}"
     )
-    fixed = {name: f"{value:.6g}" for name, value in found.fixed.items()}
-    if told := constraints_told(fixed, found.tied):
-        click.echo(told)
+    fixed = {name: f"{value:.6g}" for name, value in comparison.fixed.items()}
+    if line := constraints_line(fixed, comparison.tied):
+        click.echo(line)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("model", overflow="fold")
     table.add_column("P", justify="right", no_wrap=True)
-    stated = found.weights == "sd"
+    stated = comparison.weights == "sd"
     for heading in ("chi2/dof" if stated else "rel.chi2", "held-out", "LOO", "log Z"):
         table.add_column(heading, justify="right", no_wrap=True)
-    unit = 1.0 if stated else found.noise_scale**2
-    for entry in found.entries:
-        table.add_row(*_row(entry, unit, first=entry is found.best))
+    unit = 1.0 if stated else comparison.noise_scale**2
+    for entry in comparison.entries:
+        table.add_row(*_row(entry, unit, first=entry is comparison.best))
     width = max(80, shutil.get_terminal_size((80, 24)).columns)
     Console(width=width, highlight=False, markup=False).print(table)
-    best = found.best
+    best = comparison.best
     for name, score in (("held-out", best.held_out), ("LOO", best.loo)):
         if score is not None:
             click.echo(f"{name} score of {best.model}: {_plus_minus(score.value, score.stderr)}")
-    failed = [entry.model for entry in found.entries if entry.status != "converged"]
+    failed = [entry.model for entry in comparison.entries if entry.status != "converged"]
     click.echo(f"status: {'NOT converged: ' + ', '.join(failed) if failed else 'all converged'}")
-    click.echo(_legend(found, stated))
-    click.echo(found.conclusion)
-    for note in found.notes:
+    click.echo(_legend(comparison, stated))
+    click.echo(comparison.conclusion)
+    for note in comparison.notes:
         click.echo(f"note: {note}")
-    for entry in found.entries:
+    for entry in comparison.entries:
         for note in entry.notes:
             click.echo(f"{entry.model}: {note}")
     if output is not None:
         click.echo(f"written to {output}", err=True)
 
 
-def _legend(found: Comparison, stated: bool) -> str:
-    """What the columns are."""
+def _legend(comparison: Comparison, stated: bool) -> str:
+    """Meaning of the columns."""
     parts = [
         "P: parameters",
         "held-out, LOO: log predictive density less that of the first, ± standard error",
         "log Z: log evidence, priors flat between the bounds",
     ]
     parts += [] if stated else ["rel.chi2: chi2/dof by that of the best fit"]
-    doubtful = any(_doubtful(entry) for entry in found.entries)
+    doubtful = any(_doubtful(entry) for entry in comparison.entries)
     return "; ".join(parts + (["?: not to be trusted"] if doubtful else []))
 
 
@@ -204,7 +205,7 @@ def _row(entry: Entry, unit: float, *, first: bool) -> list[str]:
 
 
 def _remarks(entry: Entry) -> list[str]:
-    """What stands below a model's name: only what is not as it should be."""
+    """Lines below the name of a model: only problems are listed."""
     remarks = [] if entry.status == "converged" else ["NOT converged"]
     for what, names in (("at bound", entry.at_bound), ("undetermined", entry.undetermined)):
         remarks += [f"{what}: {', '.join(names)}"] if names else []
@@ -229,7 +230,7 @@ def _plus_minus(value: float, stderr: float) -> str:
 
 
 def _number(value: float, decimals: int) -> str:
-    """Short enough for a column, also where a model is far off."""
+    """A number that fits its column, even if a model is far off."""
     if abs(value) >= LARGE:
         mantissa, _, exponent = f"{value:.2e}".partition("e")
         return f"{mantissa}e{int(exponent)}"

@@ -1,7 +1,7 @@
 """Names that a shell completes: models, materials and instruments.
 
 The options and arguments of the commands take these functions as `shell_complete`. A shell calls
-them at every press of the key, so they load nothing that computes.
+them at every press of the key, so they import no numerical package.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 def complete_model(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Models, also as a term behind "+" of a sum, else files."""
+    """Models, also as a term after "+" in a sum; otherwise files."""
     from gonio import models
 
     start, term = _last(incomplete, "+")
@@ -25,7 +25,7 @@ def complete_model(
 def complete_models(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Models behind commas, each also as a term of a sum."""
+    """Models of a comma-separated list, each also as a term of a sum."""
     from gonio import models
 
     start, name = _last(incomplete, ",")
@@ -45,14 +45,14 @@ def complete_material(
 def complete_instrument(
     ctx: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Presets, else files."""
+    """Presets; otherwise files."""
     from gonio.instrument import preset_names
 
     return _items("", incomplete, preset_names()) or _files(incomplete)
 
 
 def _last(text: str, separator: str) -> tuple[str, str]:
-    """What is done with, and the beginning of the last name."""
+    """The complete part of a text, and the beginning of its last name."""
     before, sign, rest = text.rpartition(separator)
     return before + sign, rest
 
@@ -62,5 +62,5 @@ def _items(start: str, beginning: str, names: Iterable[str]) -> list[CompletionI
 
 
 def _files(incomplete: str) -> list[CompletionItem]:
-    """Let the shell complete the name of a file."""
+    """Let the shell complete a file name."""
     return [CompletionItem(incomplete, type="file")]

@@ -21,14 +21,14 @@ def constraint_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "fixes",
             multiple=True,
             metavar="NAME=VALUE",
-            help="Hold a parameter at a value, degrees for angles: it is no unknown.",
+            help="Hold a parameter at a value (degrees for angles); it is not fitted.",
         ),
         click.option(
             "--tie",
             "ties",
             multiple=True,
             metavar="NAME=NAME",
-            help="Give a parameter the value of another one: --tie alpha_y=alpha_x fits one width.",
+            help="Set a parameter equal to another one: --tie alpha_y=alpha_x fits one width.",
         ),
     ]
     for option in reversed(options):
@@ -37,12 +37,12 @@ def constraint_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def read_fixed(model: Model, items: tuple[str, ...]) -> dict[str, float]:
-    """Fixed values in the unit of Python, as `-p` reads parameters.
+    """Fixed values in the units of Python, read in the same way as `-p`.
 
     Raises
     ------
     ConfigurationError
-        As `parse_parameters`, with the name of this option.
+        As for `parse_parameters`; the message names this option.
     """
     from gonio.cli.options import parse_parameters
 
@@ -53,7 +53,7 @@ def read_fixed(model: Model, items: tuple[str, ...]) -> dict[str, float]:
 
 
 def read_tied(items: tuple[str, ...]) -> dict[str, str]:
-    """Ties by the name that takes the value of the other one.
+    """Ties by name: each tied parameter and the one whose value it takes.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def read_tied(items: tuple[str, ...]) -> dict[str, str]:
     >>> read_tied(("alpha_y=alpha_x",))
     {'alpha_y': 'alpha_x'}
     """
-    found: dict[str, str] = {}
+    tied: dict[str, str] = {}
     for item in items:
         name, _, other = (word.strip() for word in item.partition("="))
         if not name or not other:
@@ -73,18 +73,18 @@ def read_tied(items: tuple[str, ...]) -> dict[str, str]:
                 f"--tie {item!r} is not NAME=NAME; write for example --tie alpha_y=alpha_x.",
                 value=item,
             )
-        if name in found:
+        if name in tied:
             raise ConfigurationError(f"--tie {name} is given twice; give it once.", value=item)
-        found[name] = other
-    return found
+        tied[name] = other
+    return tied
 
 
-def constraints_told(fixed: Mapping[str, str], tied: Mapping[str, str]) -> str:
-    """What is fixed and tied, in a line; empty where nothing is.
+def constraints_line(fixed: Mapping[str, str], tied: Mapping[str, str]) -> str:
+    """One line with the fixed and tied parameters; empty if there are none.
 
     Examples
     --------
-    >>> constraints_told({"rho_d": "0"}, {"alpha_y": "alpha_x"})
+    >>> constraints_line({"rho_d": "0"}, {"alpha_y": "alpha_x"})
     'fixed: rho_d = 0; tied: alpha_y = alpha_x'
     """
     parts = [("fixed", fixed), ("tied", tied)]

@@ -35,7 +35,7 @@ SMALLEST = 3  # images, as `gonio.planning.plan_search` has it, which is slow to
     "items",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter about which to plan; degrees for angles.",
+    help="Expected value of a parameter, degrees for angles; the plan is optimised for it.",
 )
 @click.option(
     "--instrument",
@@ -49,29 +49,32 @@ SMALLEST = 3  # images, as `gonio.planning.plan_search` has it, which is slow to
 @click.option(
     "--want",
     metavar="NAME=SHARE,...",
-    help="Relative standard uncertainties to reach, such as alpha_x=0.01,rho_s=0.02; those of the "
-    "default plan where neither --want nor --budget is given.",
+    help="Relative standard uncertainties to reach, such as alpha_x=0.01,rho_s=0.02. Without "
+    "--want and --budget, those of the default plan.",
 )
 @click.option(
     "--budget",
     type=int,
     metavar="N",
-    help="Largest number of images of sample, standard and background together.",
+    help="Largest total number of images of sample, standard and background.",
 )
 @click.option(
     "-o",
     "--output",
     metavar="PLAN.toml",
     type=click.Path(path_type=Path),
-    help="File to write the plan to, as a table [plan].",
+    help="File to write the plan to, as a TOML table [plan].",
 )
 @click.option(
     "--verify",
     type=click.IntRange(min=2),
     metavar="N",
-    help="Simulate the plan with N seeds, reduce and fit, and compare the scatter.",
+    help="Simulate, reduce and fit the plan with N seeds, and compare the scatter with the "
+    "prediction.",
 )
-@click.option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads to use.")
+@click.option(
+    "--threads", type=click.IntRange(min=1), metavar="N", help="Number of worker threads."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
     model: str,
@@ -86,11 +89,11 @@ def command(
     threads: int | None,
     as_json: bool,
 ) -> None:
-    """Choose which images to take for a wanted precision of parameters.
+    """Plan the images that give parameters with a wanted precision.
 
-    Incidence angles, rotations, takes of standard and background, and exposures are chosen by
-    Fisher information, the errors that images share included. The surface is taken to be exactly
-    the model with the parameters that are given.
+    The plan sets incidence angles, rotations, exposures, and repeats of standard and background. It
+    is chosen by Fisher information, which includes the errors that images share. The surface is
+    assumed to follow the model exactly, with the given parameters.
     """
     from gonio.cli.options import check_target, echo_json
     from gonio.cli.progress import stages
@@ -107,14 +110,14 @@ def command(
         )
     if output is not None:
         check_target(output)
-    rig = load(instrument)
+    chosen_instrument = load(instrument)
     from gonio.planning.plan_search import design
 
     with stages() as callback:
         result = design(
             chosen,
             parameters,
-            instrument=rig,
+            instrument=chosen_instrument,
             wanted=wanted,
             budget=budget,
             fixed=fixed,
@@ -157,7 +160,7 @@ def _wanted(model: Model, parameters: dict[str, float], text: str | None) -> dic
     >>> _wanted(models.get("ward"), {"alpha_x": 0.1}, "alpha_x=0.01")
     {'alpha_x': 0.01}
     """
-    found: dict[str, float] = {}
+    wanted_u: dict[str, float] = {}
     for item in text.split(",") if text is not None else ():
         name, sign, share = (part.strip() for part in item.partition("="))
         if not sign or not name:
@@ -168,7 +171,7 @@ def _wanted(model: Model, parameters: dict[str, float], text: str | None) -> dic
             )
         if name not in model.names:
             raise unknown_name(f"parameter of {model.name}", name, model.names)
-        if name in found:
+        if name in wanted_u:
             raise ConfigurationError(f"--want {name} is given twice; give it once.", value=item)
         try:
             number = float(share)
@@ -186,15 +189,15 @@ def _wanted(model: Model, parameters: dict[str, float], text: str | None) -> dic
                 f"give another value with -p {name}=VALUE.",
                 value=share,
             )
-        found[name] = number
-    return found
+        wanted_u[name] = number
+    return wanted_u
 
 
 # ---------------------------------------------------------------- the terminal
 
 
 def _surface_words(result: DesignResult, instrument: str) -> str:
-    """The words of 'gonio simulate' for the surface and the instrument."""
+    """Arguments of 'gonio simulate' for the surface and the instrument."""
     model = result.setup.model
     given = " ".join(
         f"-p {q.name}={q.to_file(result.parameters[q.name]):.10g}" for q in model.parameters
@@ -203,7 +206,7 @@ def _surface_words(result: DesignResult, instrument: str) -> str:
 
 
 def _command(result: DesignResult, instrument: str) -> str:
-    """The words that record the plan's angles."""
+    """The command that records the angles of the plan."""
     from gonio.plan_file import listed
 
     theta_i = listed(result.plan.theta_i_deg).replace(" ", "")
@@ -253,7 +256,7 @@ def _show_parameters(rows: list[dict[str, Any]]) -> None:
         at = "-"
         if helped is not None:
             at = f"theta_i {helped['theta_i_deg']:g}, rotation {helped['rotation_deg']:g}"
-        figures = (
+        values = (
             f"{row['value']:.4g}{' ' * bool(row['unit'])}{row['unit']}",
             *(
                 "fixed" if row.get("fixed") else _percent(row[key], row["value"])
@@ -264,7 +267,7 @@ def _show_parameters(rows: list[dict[str, Any]]) -> None:
         source = row["largest_source"] or "-"
         if "tied_to" in row:
             source, at = f"tied to {row['tied_to']}", "-"
-        click.echo(_line(row["name"], figures, source, at))
+        click.echo(_line(row["name"], values, source, at))
 
 
 def _show_verification(check: dict[str, Any]) -> None:
@@ -275,14 +278,14 @@ def _show_verification(check: dict[str, Any]) -> None:
     )
     click.echo(f"{'':<12}{'predicted':>12}{'scatter':>12}{'ratio':>8}{'bias':>12}")
     for row in check["parameters"]:
-        figures = [row["predicted"], row["scatter"], row["bias"]]
-        predicted, scatter, bias = ("-" if x is None else f"{x:.3g}" for x in figures)
+        values = [row["predicted"], row["scatter"], row["bias"]]
+        predicted, scatter, bias = ("-" if x is None else f"{x:.3g}" for x in values)
         ratio = "-" if row["ratio"] is None else f"{row['ratio']:.2f}"
         click.echo(f"{row['name']:<12}{predicted:>12}{scatter:>12}{ratio:>8}{bias:>12}")
 
 
 def _show_use(document: dict[str, Any], whole: str | None) -> None:
-    """How to take the plan: its angles alone, or all of it from a file."""
+    """Print how to use the plan: its angles alone, or all of it from a file."""
     click.echo()
     click.echo("Its angles, with every exposure of the instrument:")
     click.echo(f"  {document['command']}")
@@ -293,8 +296,8 @@ def _show_use(document: dict[str, Any], whole: str | None) -> None:
     click.echo(f"  {whole}")
 
 
-def _line(name: str, figures: Iterable[str], source: str, at: str) -> str:
-    numbers = "".join(f"{text:>10}" for text in figures)
+def _line(name: str, values: Iterable[str], source: str, at: str) -> str:
+    numbers = "".join(f"{text:>10}" for text in values)
     return f"{name:<10}{numbers}  {source:<20}{at}".rstrip()
 
 

@@ -1,4 +1,4 @@
-"""`gonio doctor`: what this installation is made of and whether it works."""
+"""`gonio doctor`: versions of this installation, and a test whether it works."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gonio.verbs.doctor import doctor
 def command(ctx: click.Context, as_json: bool) -> None:
     """Check this installation: versions, cores, cache, and two computations.
 
-    The exit code is 1 where a dependency is missing or a computation is wrong.
+    The exit code is 1 if a dependency is missing or a computation is wrong.
     """
     from gonio.cli.options import echo_json
 
@@ -39,10 +39,10 @@ def _show(report: dict[str, Any]) -> None:
     for name, version in report["dependencies"].items():
         _line(f"  {name}", version or "MISSING; install gonio again with its dependencies")
     for name, extra in report["extras"].items():
-        there = [
+        installed = [
             f"{package} {version}" for package, version in extra["packages"].items() if version
         ]
-        state = ", ".join(there) if extra["installed"] else f"not installed; {extra['install']}"
+        state = ", ".join(installed) if extra["installed"] else f"not installed; {extra['install']}"
         _line(f"extra {name}", f"for {extra['for']}: {state}")
     _line("cores", f"{report['cores']} for this process")
     if report["threads"] is not None:

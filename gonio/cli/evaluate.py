@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.option(
     "--material",
     shell_complete=complete_material,
-    help="A named material instead of MODEL; see 'gonio materials'.",
+    help="Named material to use instead of MODEL; see 'gonio materials'.",
 )
 @click.option(
     "-p",
@@ -27,19 +27,20 @@ if TYPE_CHECKING:
     "items",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A parameter of the model, angles in degrees; repeat for each. See 'gonio models MODEL'.",
+    help="Value of a parameter of the model, angles in degrees; repeat for each parameter. "
+    "See 'gonio models MODEL'.",
 )
 @click.option(
     "--angles",
     required=True,
     type=click.Path(path_type=Path),
-    help="CSV with the columns theta_i, phi_i, theta_r, phi_r in degrees.",
+    help="CSV file with the columns theta_i, phi_i, theta_r, phi_r in degrees.",
 )
 @click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    help="CSV to write; standard output where not given.",
+    help="CSV file to write; default: standard output.",
 )
 def command(
     model: str | None,
@@ -52,8 +53,8 @@ def command(
 
     MODEL is a name of 'gonio models', FILE.py or FILE.py:NAME.
 
-    The output is a CSV of the four angles and the column brdf, with 17 significant digits. With
-    --material, -p replaces single parameters of the material.
+    The output is a CSV with the four angles and the column brdf, with 17 significant digits. With
+    --material, -p changes single parameters of the material.
     """
     from gonio.files import write_text
     from gonio.formats.gonio_csv import directions_table, read_directions

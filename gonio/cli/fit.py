@@ -42,55 +42,56 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
 @click.option(
     "--share",
     metavar="NAME,...|all|none",
-    help="Fit all channels, wavelengths and inputs together, with these parameters in common; each "
-    "has its own values of the others.",
+    help="Fit all channels, wavelengths and inputs together. They share these parameters; "
+    "the other parameters have a value for each.",
 )
 @click.option(
     "--start",
     "starts",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Starting value; without any, the data suggest them.",
+    help="Starting value of a parameter; default: derived from the data.",
 )
 @constraint_options
 @click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True,
-              help="What searches for the minimum before the Gauss-Newton steps in which every fit "
-              "ends.")  # fmt: skip
+              help="Method that searches for the minimum; Gauss-Newton steps follow.")  # fmt: skip
 @click.option("--loss", type=click.Choice(LOSSES), default=LOSSES[0], show_default=True,
-              help="What is made small: squared residuals, squared differences of "
-              "ln(1 + f cos theta_r) or of (f cos theta_r)^(1/3), or Student's t, which outliers "
-              "hardly move.")  # fmt: skip
+              help="Loss to minimise: squared residuals, squared differences of "
+              "ln(1 + f cos theta_r) or of (f cos theta_r)^(1/3), or Student's t, which is robust "
+              "against outliers.")  # fmt: skip
 @click.option(
     "--nuisance",
     default="none",
     show_default=True,
     metavar="all|none|NAME,...",
-    help="Shared errors that the fit may learn from the data, with priors from the session's "
-    "budget; the others are propagated. 'geometry' stands for every 'geometry, mode k'.",
+    help="Shared errors to estimate from the data as nuisance parameters, with priors from "
+    "the uncertainty budget of the session; the others are propagated. 'geometry' "
+    "stands for every 'geometry, mode k'.",
 )
 @posterior_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
-              help="Seed of everything random.")  # fmt: skip
+              help="Seed of the random numbers.")  # fmt: skip
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
     metavar="SESSION",
-    help="Simulated session whose true parameters are shown beside; the fit does not use them.",
+    help="Simulated session whose true parameters are shown next to the estimates; the fit "
+    "does not use them.",
 )
 @click.option("--threads", type=click.IntRange(min=1), metavar="N",
-              help="Threads to use; the result does not depend on it.")  # fmt: skip
+              help="Number of worker threads; the result does not depend on it.")  # fmt: skip
 @click.option(
     "-o",
     "--output",
     metavar="FIT.json",
     type=click.Path(path_type=Path),
-    help="Where to write the result; the posterior's draws go beside it.",
+    help="File to write the result to; draws of the posterior go to a file next to it.",
 )
 @click.option(
     "--explain",
     "explained",
     is_flag=True,
-    help="Show what the data say of each parameter, and where the residuals are.",
+    help="Show how well the data determine each parameter, and where the residuals are large.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
 @click.pass_context
@@ -121,9 +122,9 @@ def command(
 ) -> None:
     """Fit MODEL to the BRDF samples of INPUT.
 
-    INPUT is a session, a samples file, or any BRDF file that gonio reads; several inputs are
-    several materials, fitted together with --share. The exit code is 1 where the fit did not meet
-    its own checks.
+    INPUT is a session, a samples file, or any BRDF file that gonio reads. Several inputs are
+    several materials, fitted together with --share. The exit code is 1 if the fit fails its own
+    checks.
     """
     from gonio.cli import joint
     from gonio.cli.options import check_target
@@ -156,7 +157,7 @@ def command(
     cuts = next(iter(read.values()))[1]
     inputs = {name: samples for name, (samples, _) in read.items()}
     samples = next(iter(inputs.values())) if len(inputs) == 1 else inputs
-    known = _truths(named, inputs, truth, model)
+    true_values = _truths(named, inputs, truth, model)
     draws = output.with_suffix(".draws.nc") if posterior and output is not None else None
 
     def run(callback: Any = None) -> FitResult:
@@ -186,7 +187,7 @@ def command(
             result = run(callback)
     else:
         result = run()
-    true = true_parameters(result, known)
+    true = true_parameters(result, true_values)
     origin = str(sources[0]) if len(sources) == 1 else [str(source) for source in sources]
     result = joint.with_inputs(result, named)
     result = replace(result, source={**result.source, "input": origin, "truth": true})
@@ -195,13 +196,13 @@ def command(
     if as_json:
         click.echo(result.to_json(), nl=False)
     else:
-        _tell(result, model, true, output, explained=explained)
+        _print(result, model, true, output, explained=explained)
     if not result.ok:
         ctx.exit(1)
 
 
 def _starts(model: Model, items: tuple[str, ...]) -> dict[str, float]:
-    """Starting values as `-p` reads parameters, its messages with the name of this option."""
+    """Starting values, read in the same way as `-p`; messages name this option."""
     from gonio.cli.options import parse_parameters
 
     try:
@@ -212,7 +213,7 @@ def _starts(model: Model, items: tuple[str, ...]) -> dict[str, float]:
 
 
 def _inputs(sources: tuple[Path, ...], shared: tuple[str, ...] | None) -> dict[str, Path]:
-    """The inputs by name; several are refused where nothing says how they belong together."""
+    """The inputs by name; several inputs are refused without --share."""
     from gonio.cli.joint import input_names
 
     if len(sources) > 1 and shared is None:
@@ -230,7 +231,7 @@ def _truths(
     truth: Path | None,
     model: Model,
 ) -> list[dict[str, float] | None]:
-    """True parameters of every part, in file units, where the inputs are simulated sessions."""
+    """True parameters of every part, in file units, if the inputs are simulated sessions."""
     from gonio.recovery import true_by_part
 
     parts, others = true_by_part(named, inputs, model, session=truth)
@@ -242,7 +243,7 @@ def _truths(
     return parts
 
 
-def _tell(
+def _print(
     result: FitResult,
     model: Model,
     truth: dict[str, float] | None,
@@ -250,7 +251,7 @@ def _tell(
     *,
     explained: bool = False,
 ) -> None:
-    """The result as a table, with warnings under it."""
+    """Print the result as a table, followed by the warnings."""
     import shutil
 
     from rich.console import Console

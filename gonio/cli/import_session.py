@@ -1,4 +1,4 @@
-"""`gonio import`: a lab's folder of pictures -> a session."""
+"""`gonio import`: a folder of image files from a laboratory -> a session."""
 
 from __future__ import annotations
 
@@ -23,25 +23,28 @@ DEMO = "demo_rig"
     "--output",
     metavar="SESSION",
     type=click.Path(path_type=Path),
-    help="Folder of the session to make, or to continue; with --template, the file to write.",
+    help="Folder of the session to create or to continue; with --template, the file to write.",
 )
-@click.option("--check", is_flag=True, help="Check RIG_FOLDER and its frames, write nothing.")
+@click.option(
+    "--check", is_flag=True, help="Check RIG_FOLDER and its frames without writing anything."
+)
 @click.option(
     "--template",
     is_flag=True,
-    help="Write a session.toml to fill in, every key with unit and meaning; to stdout without -o.",
+    help="Write a session.toml to fill in, with unit and meaning of every key; to stdout "
+    "without -o.",
 )
 @click.option(
     "--demo",
     metavar="FOLDER",
     type=click.Path(path_type=Path),
-    help="Copy a small rig folder to FOLDER, to work on.",
+    help="Copy a small example of a rig folder to FOLDER.",
 )
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads to use; the session does not depend on it.",
+    help="Number of worker threads; the session does not depend on it.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
@@ -53,12 +56,12 @@ def command(
     threads: int | None,
     as_json: bool,
 ) -> None:
-    """Make a session of a camera's files.
+    """Make a session from the image files of a camera.
 
-    RIG_FOLDER holds session.toml, which says what the rig is and which file is which frame, and
-    the frames: PNG or TIFF of 8 or 16 bits, float TIFF or EXR, or the camera's raw files. What is
-    wrong with them is said file by file. After an interruption, or after files were replaced, the
-    same command continues.
+    RIG_FOLDER holds the file session.toml and the frames. session.toml describes the rig and
+    assigns the files to frames. Frames are PNG or TIFF of 8 or 16 bits, float TIFF or EXR, or raw
+    files of the camera. Faults are reported file by file. After an interruption, or after files
+    were replaced, the same command continues.
     """
     _check_usage(rig, output, check=check, template=template, demo=demo)
     if template:
@@ -110,7 +113,7 @@ def _write_template(output: Path | None) -> None:
 
 
 def _copy_demo(folder: Path) -> None:
-    """The demo's files below `folder`, which must be new or empty."""
+    """Copy the files of the example to `folder`, which must be new or empty."""
     from importlib import resources
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -143,18 +146,18 @@ def _import(rig: Path, output: Path | None, threads: int | None, as_json: bool) 
     try:
         if output is None:
             with progress(f"checking {name}", "frames") as callback:
-                found = check_frames(rig, threads=threads, progress=callback)
+                imported = check_frames(rig, threads=threads, progress=callback)
         else:
             with progress(f"importing {name}", "frames") as callback:
-                found = import_rig(rig, output, threads=threads, progress=callback)
+                imported = import_rig(rig, output, threads=threads, progress=callback)
     except KeyboardInterrupt:
         _interrupted(output)
-    _tell(found, rig, output, as_json)
-    _stop_at_errors(found, rig, output)
+    _print(imported, rig, output, as_json)
+    _stop_at_errors(imported, rig, output)
 
 
 def _interrupted(output: Path | None) -> NoReturn:
-    """Say what is safe. The manifest on the disk is read: it is what a new start will find."""
+    """Report how many frames are saved, from the manifest on the disk."""
     from gonio.session import Session
 
     safe = ""
@@ -166,33 +169,33 @@ def _interrupted(output: Path | None) -> NoReturn:
     ) from None
 
 
-def _tell(found: Imported, rig: Path, output: Path | None, as_json: bool) -> None:
+def _print(imported: Imported, rig: Path, output: Path | None, as_json: bool) -> None:
     from gonio.cli.options import echo_json
 
     if as_json:
-        echo_json(_document(found, rig, output))
+        echo_json(_document(imported, rig, output))
         return
-    for line in found.done:
+    for line in imported.done:
         click.echo(f"- {line}")
-    for warning in found.warnings:
+    for warning in imported.warnings:
         click.echo(f"warning: {warning}")
-    for finding in found.findings:
+    for finding in imported.findings:
         click.echo(f"{finding.severity}: {finding.text}")
-    plan, camera = found.metadata.plan, found.metadata.camera
+    plan, camera = imported.metadata.plan, imported.metadata.camera
     what = f"{plan.n_frames} frames of {camera.columns} x {camera.rows} pixels"
     if output is None:
-        fault = any(finding.severity == "error" for finding in found.findings)
+        fault = any(finding.severity == "error" for finding in imported.findings)
         click.echo(f"{rig}: {what}, {'not' if fault else ''} in order.".replace("  ", " "))
     else:
-        before = plan.n_frames - found.n_new
+        before = plan.n_frames - imported.n_new
         added = f", {before} of them from before" if before else ""
         click.echo(f"{output}: {what}{added}.")
 
 
-def _document(found: Imported, rig: Path, output: Path | None) -> dict[str, Any]:
+def _document(imported: Imported, rig: Path, output: Path | None) -> dict[str, Any]:
     from dataclasses import asdict
 
-    metadata, plan = found.metadata, found.metadata.plan
+    metadata, plan = imported.metadata, imported.metadata.plan
     return {
         "schema": "gonio.import/1",
         "rig": str(rig),
@@ -206,15 +209,15 @@ def _document(found: Imported, rig: Path, output: Path | None) -> dict[str, Any]
         "rows": metadata.camera.rows,
         "columns": metadata.camera.columns,
         "frames": plan.n_frames,
-        "frames_added": found.n_new,
-        "done": list(found.done),
-        "warnings": list(found.warnings),
-        "findings": [asdict(finding) for finding in found.findings],
+        "frames_added": imported.n_new,
+        "done": list(imported.done),
+        "warnings": list(imported.warnings),
+        "findings": [asdict(finding) for finding in imported.findings],
     }
 
 
-def _stop_at_errors(found: Imported, rig: Path, output: Path | None) -> None:
-    errors = [finding for finding in found.findings if finding.severity == "error"]
+def _stop_at_errors(imported: Imported, rig: Path, output: Path | None) -> None:
+    errors = [finding for finding in imported.findings if finding.severity == "error"]
     if errors:
         n = len(errors)
         after = "" if output is None else (

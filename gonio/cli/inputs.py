@@ -1,4 +1,4 @@
-"""Inputs that are not there, said before anything slow is imported."""
+"""Checks that input files exist, made before any slow import."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def require_rig(folder: Path) -> None:
 
 
 def require_photos(paths: list[Path]) -> None:
-    """Refuse photographs of which one does not exist.
+    """Refuse photographs if one of them does not exist.
 
     Raises
     ------

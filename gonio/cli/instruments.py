@@ -40,7 +40,7 @@ _CAUSES = {
     "source": "source cone",
     "total": "all together",
 }
-_SEEN = {
+_COVERAGE = {
     "any": "some rays land on lit sample",
     "whole": "99 % of the rays do",
     "usable": "some, inside the rim mask",
@@ -54,27 +54,30 @@ _SEEN = {
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 @click.option(
-    "--toml", "as_toml", is_flag=True, help="Print the file of the preset, to start your own from."
+    "--toml",
+    "as_toml",
+    is_flag=True,
+    help="Print the file of the preset, as a start for your own instrument.",
 )
 @click.option(
     "--resolution",
     is_flag=True,
-    help="Trace what the instrument resolves: smallest alpha, blur, directions seen.",
+    help="Trace rays to find the resolution: smallest alpha, blur, visible directions.",
 )
 @click.option(
     "--map",
     "map_to",
     metavar="OUT.png",
     type=click.Path(path_type=Path),
-    help="With --resolution: picture of blur and coverage, .png, .pdf or .svg.",
+    help="With --resolution: write a map of blur and coverage, .png, .pdf or .svg.",
 )
 def command(
     name: str | None, as_json: bool, as_toml: bool, resolution: bool, map_to: Path | None
 ) -> None:
     """List the virtual instruments, or show one with all of its parts.
 
-    An instrument of your own is a TOML file: take that of a preset with --toml, change it, and
-    give its name to 'gonio simulate --instrument'.
+    Your own instrument is a TOML file: print that of a preset with --toml, edit it, and pass its
+    name to 'gonio simulate --instrument'.
     """
     import gonio.instrument as instrument
     from gonio.cli.options import echo_json
@@ -92,7 +95,7 @@ def command(
         return
     chosen = [instrument.load(each) for each in ([name] if name else instrument.preset_names())]
     if as_json:
-        documents = [rig.model_dump(mode="json") for rig in chosen]
+        documents = [instrument.model_dump(mode="json") for instrument in chosen]
         echo_json(documents[0] if name else documents)
     elif name:
         _show_one(chosen[0])
@@ -123,45 +126,45 @@ def _show_all(chosen: list[Instrument]) -> None:
     table = Table("name", "dome", "frame", "exposures", "description")
     for column in table.columns[:-1]:
         column.no_wrap = True
-    for rig in chosen:
-        rows, columns = rig.sensor.shape
+    for instrument in chosen:
+        rows, columns = instrument.sensor.shape
         table.add_row(
-            rig.name,
-            rig.dome.shape,
+            instrument.name,
+            instrument.dome.shape,
             f"{columns} x {rows}",
-            str(len(rig.sensor.exposures_s)),
-            rig.description,
+            str(len(instrument.sensor.exposures_s)),
+            instrument.description,
         )
     table_console().print(table)
 
 
-def _show_one(rig: Instrument) -> None:
+def _show_one(instrument: Instrument) -> None:
     from rich.table import Table
 
     from gonio.cli.options import table_console
 
     console = table_console()
-    console.print(f"{rig.name}: {rig.description}")
+    console.print(f"{instrument.name}: {instrument.description}")
     table = Table("setting", "value", "meaning")
     table.columns[0].no_wrap = True
     table.columns[1].max_width = 18
-    for prefix, part in {"": rig, **_parts(rig)}.items():
+    for prefix, part in {"": instrument, **_parts(instrument)}.items():
         for key, value, meaning in _rows(part):
             table.add_row(prefix + key, value, meaning)
         table.add_section()
     console.print(table)
 
 
-def _parts(rig: Instrument) -> dict[str, Part]:
-    """The parts by what their settings' names begin with; lists of parts are counted from 1."""
+def _parts(instrument: Instrument) -> dict[str, Part]:
+    """The parts by the prefix of their settings' names; lists of parts are numbered from 1."""
     from gonio.instrument.part import Part
 
-    found: dict[str, Part] = {}
-    for key, value in rig:
+    parts: dict[str, Part] = {}
+    for key, value in instrument:
         several = value if isinstance(value, tuple) else ()
-        found |= {f"{key}.": value} if isinstance(value, Part) else {}
-        found |= {f"{key}.{k}.": part for k, part in enumerate(several, 1)}
-    return found
+        parts |= {f"{key}.": value} if isinstance(value, Part) else {}
+        parts |= {f"{key}.{k}.": part for k, part in enumerate(several, 1)}
+    return parts
 
 
 def _rows(part: Part) -> Iterator[tuple[str, str, str]]:
@@ -195,7 +198,7 @@ def _unit(key: str) -> str:
     return _UNITS[ends[-1]] if ends else ""
 
 
-def _resolution(rig: Instrument, as_json: bool, map_to: Path | None) -> None:
+def _resolution(instrument: Instrument, as_json: bool, map_to: Path | None) -> None:
     from gonio.cli.options import check_target, echo_json
 
     if map_to is not None:
@@ -205,8 +208,8 @@ def _resolution(rig: Instrument, as_json: bool, map_to: Path | None) -> None:
         check_target(map_to)
     from gonio.instrument.resolution import report, resolve
 
-    found = resolve(rig)
-    document = report(found)
+    resolution = resolve(instrument)
+    document = report(resolution)
     if as_json:
         echo_json(document)
     else:
@@ -214,7 +217,7 @@ def _resolution(rig: Instrument, as_json: bool, map_to: Path | None) -> None:
     if map_to is not None:
         from gonio.plotting import resolution_map, save
 
-        save(resolution_map(found), map_to)
+        save(resolution_map(resolution), map_to)
         click.echo(f"written to {map_to}", err=True)
 
 
@@ -230,7 +233,7 @@ def _show_resolution(document: dict[str, Any]) -> None:
     console.print("Blur of the viewing direction over the usable hemisphere, sd on an axis, deg")
     console.print(_blur_table(document["blur_deg"]))
     console.print("theta_r up to which everything is seen, deg; a sector is 10 deg of azimuth")
-    console.print(_seen_table(document["theta_r"]))
+    console.print(_coverage_table(document["theta_r"]))
     for line in _resolution_notes(document):
         console.print(line)
 
@@ -241,11 +244,11 @@ def _alpha_table(rows: list[dict[str, Any]]) -> Table:
     table = Table("theta_i", "axis", "blur sd", "smallest alpha", "widened still after a fit")
     for row in rows:
         for axis, heading in (("in_plane", "in the plane"), ("across", "across it")):
-            figures = row[axis]
+            values = row[axis]
             cells = ["not seen", "unknown", "unknown"]
-            if figures is not None:
-                left = 100 * figures["excess_reduced"]
-                cells = [f"{figures['blur_deg']:.3f} deg", f"{figures['alpha']:.4f}"]
+            if values is not None:
+                left = 100 * values["excess_reduced"]
+                cells = [f"{values['blur_deg']:.3f} deg", f"{values['alpha']:.4f}"]
                 cells.append("< 0.01 %" if left < 0.01 else f"{left:.2f} %")
             table.add_row(f"{row['theta_i_deg']:g} deg", heading, *cells)
     return table
@@ -255,18 +258,18 @@ def _blur_table(causes: dict[str, dict[str, float | None]]) -> Table:
     from rich.table import Table
 
     table = Table("cause", "median, larger axis", "median, smaller axis", "largest")
-    for key, figures in causes.items():
-        cells = ["unknown" if sd is None else f"{sd:.3f}" for sd in figures.values()]
+    for key, values in causes.items():
+        cells = ["unknown" if sd is None else f"{sd:.3f}" for sd in values.values()]
         table.add_row(_CAUSES[key], *cells)
     return table
 
 
-def _seen_table(seen: dict[str, Any]) -> Table:
+def _coverage_table(coverage: dict[str, Any]) -> Table:
     from rich.table import Table
 
     table = Table("directions of which", "worst sector", "best sector", "of the hemisphere")
-    for key, meaning in _SEEN.items():
-        part = seen[key]
+    for key, meaning in _COVERAGE.items():
+        part = coverage[key]
         table.add_row(
             meaning,
             f"{part['min_deg']:.1f}",
@@ -277,10 +280,10 @@ def _seen_table(seen: dict[str, Any]) -> Table:
 
 
 def _resolution_notes(document: dict[str, Any]) -> Iterator[str]:
-    seen, arm, pointing = (document[k] for k in ("theta_r", "theta_i", "pointing_sd_deg"))
+    coverage, arm, pointing = (document[k] for k in ("theta_r", "theta_i", "pointing_sd_deg"))
     yield (
-        f"The lens sees {seen['lens_field_deg']:g} deg; the reduction leaves out theta_r > "
-        f"{seen['rim_mask_deg']:g} deg. The arm reaches theta_i = {arm['arm_max_deg']:g} deg; "
+        f"The lens sees {coverage['lens_field_deg']:g} deg; the reduction leaves out theta_r > "
+        f"{coverage['rim_mask_deg']:g} deg. The arm reaches theta_i = {arm['arm_max_deg']:g} deg; "
         + (
             "the specular direction is not seen."
             if arm["specular_seen_max_deg"] is None

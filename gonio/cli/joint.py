@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def shared_names(model: Model, text: str) -> tuple[str, ...]:
-    """Parameters to share from a list with commas, `all` or `none`.
+    """Parameters to share, from a comma-separated list, `all` or `none`.
 
     Raises
     ------
@@ -47,12 +47,12 @@ def shared_names(model: Model, text: str) -> tuple[str, ...]:
 
 
 def input_names(sources: Sequence[Path]) -> dict[str, Path]:
-    """The inputs by short names: those of the files without folder and suffix, where they differ.
+    """The inputs by short names: file names without folder and suffix, if these differ.
 
     Raises
     ------
     ConfigurationError
-        If one is given twice.
+        If an input is given twice.
     """
     for source in sources:
         if list(sources).count(source) > 1:
@@ -65,7 +65,7 @@ def input_names(sources: Sequence[Path]) -> dict[str, Path]:
 
 
 def with_inputs(result: FitResult, named: Mapping[str, Path]) -> FitResult:
-    """The result whose parts name the files they are of."""
+    """The result with the name of its file in every part."""
     parts = [
         part if part.input is None else replace(part, input=str(named[part.input]))
         for part in result.parts
@@ -76,21 +76,21 @@ def with_inputs(result: FitResult, named: Mapping[str, Path]) -> FitResult:
 def chooser(
     source: Path, selections: tuple[str, ...], *, middle: bool = False
 ) -> Callable[[FitResult], FitResult]:
-    """What takes the part that --select names out of a joint fit, and leaves another fit alone.
+    """Function that selects the part that --select names; other fits are returned unchanged.
 
     Parameters
     ----------
     middle : bool
-        Take the middle part where nothing is selected, and say so.
+        Take the middle part if nothing is selected, and print a note.
 
     Raises
     ------
     ConfigurationError
-        By the function, if the selection leaves no part or several.
+        Raised by the returned function if the selection matches no part or several.
     """
     from gonio.fitting.part_choice import part_chooser
 
-    def tell(fit: FitResult, part: PartFit) -> None:
+    def note_choice(fit: FitResult, part: PartFit) -> None:
         click.echo(
             f"{source} is a fit of {len(fit.parts)} parts: drawn is {part.name}; choose with "
             f"{how_to_choose(part)}.",
@@ -100,7 +100,7 @@ def chooser(
     choose_part = part_chooser(
         pairs(selections),
         where=str(source),
-        middle=tell if middle else None,
+        middle=note_choice if middle else None,
         shown=how_to_choose,
     )
 
@@ -117,7 +117,7 @@ def chooser(
 
 
 def how_to_choose(part: PartFit) -> str:
-    """What to write behind a command to choose this part."""
+    """Options that select this part on the command line."""
     from gonio.fitting.part_choice import how_to_select
 
     return " ".join(

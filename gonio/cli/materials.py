@@ -1,4 +1,4 @@
-"""`gonio materials`: the papers' named materials."""
+"""`gonio materials`: the named materials of the papers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 @click.argument("name", required=False, shell_complete=complete_material)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(name: str | None, as_json: bool) -> None:
-    """List the papers' materials, or show one.
+    """List the materials published in papers, or show one.
 
-    With NAME the note on that material is shown too. Angles are degrees.
+    With NAME, the note on that material is also shown. Angles are in degrees.
     """
     import gonio.materials as materials
     from gonio.cli.options import echo_json
@@ -34,7 +34,7 @@ def command(name: str | None, as_json: bool) -> None:
 
 
 def _show_all(chosen: list[Material]) -> None:
-    """One line a material under a heading for each table or figure that prints its numbers."""
+    """One line per material, under a heading for each table or figure of a paper."""
     heading = ""
     width = max(len(material.name) for material in chosen)
     for material in chosen:

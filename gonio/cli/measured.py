@@ -1,4 +1,4 @@
-"""The samples that a command works on: from a session or a file, one channel, cut as asked for."""
+"""The samples of a command: from a session or a file, of one channel, within limits of angles."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _OPTIONS = (
     click.option(
         "--weights",
         type=click.Choice(list(WEIGHTS)),
-        help="What each residual is multiplied by: one over its uncertainty (sd, where known), 1, "
-        "cos theta_r, or cos theta_i cos theta_r.",
+        help="Weight of each residual: one over its standard uncertainty (sd, the default where "
+        "uncertainties are stated), 1, cos theta_r, or cos theta_i cos theta_r.",
     ),
     click.option(
         "--select",
         "selections",
         multiple=True,
         metavar="KEY=VALUE",
-        help="Use part of a file: wavelength=650 (nm) or channel=NAME; several as "
+        help="Use part of a file: wavelength=650 (nm) or channel=NAME. Several wavelengths: "
         "wavelength=450,650, wavelength=600..700 or wavelength=600.. .",
     ),
     click.option(
         "--max-theta-i",
         type=click.FloatRange(0, 90),
         metavar="DEG",
-        help="Largest incidence angle.",
+        help="Largest angle of incidence.",
     ),
     click.option(
         "--max-theta-r", type=click.FloatRange(0, 90), metavar="DEG", help="Largest viewing angle."
@@ -62,22 +62,22 @@ def read_samples(
     several: bool = False,
     hint: str = "",
 ) -> tuple[BRDFSamples, dict[str, Any]]:
-    """Samples within the angles (degrees), and the cuts as a result states them.
+    """Samples within the angles (degrees), and the cuts in the form that a result stores.
 
     Parameters
     ----------
     several : bool
         Allow several channels or wavelengths.
     hint : str
-        What else to do about them, for the message that refuses them.
+        Further advice for the message that refuses them.
 
     Raises
     ------
     ConfigurationError
-        If a selection is not KEY=VALUE, or several channels or wavelengths are left and not
+        If a selection is not KEY=VALUE, or several channels or wavelengths remain and are not
         allowed.
     DataError
-        If the source cannot be read, or no sample is left.
+        If the source cannot be read, or no sample remains.
     """
     select = pairs(selections)
     samples = read_source(source, select, threads)
@@ -92,7 +92,7 @@ def read_samples(
 
 
 def pairs(selections: tuple[str, ...]) -> dict[str, str]:
-    """Selections by key; of one key several mean any of them.
+    """Selections by key; several values of one key select any of them.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def pairs(selections: tuple[str, ...]) -> dict[str, str]:
     >>> pairs(("wavelength=450", "wavelength=600..700"))
     {'wavelength': '450,600..700'}
     """
-    found: dict[str, str] = {}
+    by_key: dict[str, str] = {}
     for item in selections:
         bound = re.fullmatch(r"\s*(\w+)\s*=?\s*([<>])[\s=]*(.*)", item)
         if bound:
@@ -116,12 +116,12 @@ def pairs(selections: tuple[str, ...]) -> dict[str, str]:
             raise ConfigurationError(
                 f"--select {item!r}: give KEY=VALUE, for instance wavelength=650.", value=item
             )
-        found[key] = f"{found[key]},{value}" if key in found else value
-    return found
+        by_key[key] = f"{by_key[key]},{value}" if key in by_key else value
+    return by_key
 
 
 def read_source(source: Path, select: dict[str, str], threads: int | None) -> BRDFSamples:
-    """Samples from a session folder or from a file, the selected ones (see `pairs`)."""
+    """The selected samples (see `pairs`) of a session folder or a file."""
     from gonio.cli.progress import stages
     from gonio.reading import load
 
@@ -130,12 +130,12 @@ def read_source(source: Path, select: dict[str, str], threads: int | None) -> BR
 
 
 def _require_one_channel(source: Path, samples: BRDFSamples, hint: str) -> None:
-    """One BRDF at a time: refuse samples of several wavelengths or channels."""
+    """Refuse samples of several wavelengths or channels."""
     from gonio.reading import several
 
-    found = several(samples)
-    if found is not None:
-        key, values = found
+    kinds = several(samples)
+    if kinds is not None:
+        key, values = kinds
         raise ConfigurationError(
             f"{source}: holds {len(values)} {key}s; choose one with --select {key}=VALUE, "
             f"of {', '.join(values[:40])}.{hint}",

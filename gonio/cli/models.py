@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def command(name: str | None, as_json: bool) -> None:
     """List the reflectance models, or show one.
 
-    With NAME the parameters (angles in degrees) and the formula of that model are shown; NAME may
-    be FILE.py or FILE.py:NAME. Models of installed packages stand with the package's name.
+    With NAME, the parameters (angles in degrees) and the formula of that model are shown; NAME may
+    be FILE.py or FILE.py:NAME. A model of another package is listed with the name of the package.
     """
     import gonio.models as models
     from gonio.cli.options import echo_json
@@ -35,7 +35,7 @@ def command(name: str | None, as_json: bool) -> None:
 
 
 def _show_all(chosen: list[Model]) -> None:
-    """Two lines a model: name and parameters, title and reference."""
+    """Two lines per model: name and parameters, title and reference."""
     import gonio.models as models
 
     width = max(len(model.name) for model in chosen)

@@ -1,4 +1,4 @@
-"""What several commands share: parameters on the command line and tables on the terminal."""
+"""Code shared by commands: parameters on the command line and tables on the terminal."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _PIPE_WIDTH = 200
 model_of_fit = click.option(
     "--model",
     metavar="FILE.py",
-    help="The file of the model that the fit was made with, where it is not part of gonio.",
+    help="File of the model of the fit, if the model is not part of gonio.",
 )
 
 
 def given(model: str | None) -> None:
-    """Make the model that `--model` names known, so that a fit's name leads to it."""
+    """Register the model that `--model` names, so that the name in a fit resolves to it."""
     if model is not None:
         from gonio.models import resolve
 
@@ -43,14 +43,14 @@ def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
     Parameters
     ----------
     model : Model
-        Says which names, units and ranges are allowed.
+        Defines the allowed names, units and ranges.
     items : iterable of str
         ``NAME=VALUE``, the value in the unit of files: degrees for angles.
 
     Returns
     -------
     dict
-        Values in the unit of Python, radians for angles; only the names that were given.
+        Values in the units of Python, radians for angles; only the given names.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
     >>> parse_parameters(models.get("ward"), ["rho_d=0.1", "alpha_x=0.05"])
     {'rho_d': 0.1, 'alpha_x': 0.05}
     """
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for item in items:
         name, sign, text = (part.strip() for part in item.partition("="))
         if not sign or not name:
@@ -75,7 +75,7 @@ def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
                 value=item,
             )
         parameter = model.parameter(name)
-        if name in found:
+        if name in values:
             raise ConfigurationError(f"-p {name} is given twice; give it once.", value=item)
         try:
             number = float(text)
@@ -84,12 +84,12 @@ def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
                 f"{name} = {text!r} is not a number; allowed is {file_range(parameter)}.",
                 value=text,
             ) from None
-        found[name] = _checked(parameter, number)
-    return found
+        values[name] = _checked(parameter, number)
+    return values
 
 
 def _checked(parameter: Parameter, number: float) -> float:
-    """The value in radians, refused in the unit in which it was given."""
+    """The checked value in radians; an error states it in the given unit."""
     try:
         return parameter.check(parameter.from_file(number))
     except ConfigurationError:
@@ -102,14 +102,14 @@ def _checked(parameter: Parameter, number: float) -> float:
 
 
 def check_target(output: Path) -> None:
-    """Refuse a file that cannot be written before minutes of work, not after.
+    """Refuse, before a long computation, a file that cannot be written.
 
     Raises
     ------
     DataError
         If its folder does not exist.
     ConfigurationError
-        If it is a folder itself.
+        If it is a folder.
     """
     if not output.parent.is_dir():
         raise DataError(
@@ -134,7 +134,7 @@ def file_range(parameter: Parameter) -> str:
 
 
 def file_text(parameter: Parameter, value: float) -> str:
-    """A value of Python as files print it, with its unit.
+    """A value in the unit of files, with that unit.
 
     Examples
     --------
@@ -152,7 +152,7 @@ def refuse_both(*formats: bool) -> None:
     Raises
     ------
     ConfigurationError
-        If stdout would hold two documents.
+        If more than one is set.
     """
     if sum(formats) > 1:
         raise ConfigurationError("--json, --csv and --latex exclude each other; give one of them.")
@@ -164,7 +164,7 @@ def echo_json(document: Any) -> None:
 
 
 def table_console() -> Console:
-    """A console on stdout that does not fold tables when the output is not a terminal."""
+    """A console on stdout that does not wrap tables if the output is not a terminal."""
     from rich.console import Console
 
     console = Console(highlight=False, markup=False)

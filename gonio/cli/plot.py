@@ -22,9 +22,9 @@ SMALLEST_PAGE = 0.85  # of the size that the page is made for
 @click.option(
     "--kind",
     metavar="|".join(KINDS),
-    help="One picture in place of the page: the plane of incidence, the hemisphere of viewing "
-    "directions, what a fit leaves over, raw frames, a model's polar lobe, its lobe in space or "
-    "its albedo.",
+    help="Draw a single plot instead of the page: the plane of incidence, the hemisphere of "
+    "viewing directions, the residuals of a fit, raw frames, or the polar lobe, the "
+    "lobe in space or the albedo of a model.",
 )
 @click.option(
     "-p",
@@ -32,26 +32,27 @@ SMALLEST_PAGE = 0.85  # of the size that the page is made for
     "items",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A parameter of model:NAME or material:NAME, angles in degrees; repeat for each.",
+    help="Value of a parameter of model:NAME or material:NAME, angles in degrees; repeat for "
+    "each parameter.",
 )
 @click.option(
     "-o",
     "--output",
     metavar="OUT.png|.pdf|.svg",
     type=click.Path(path_type=Path),
-    help="Picture to write; its suffix decides the format; INPUT with .png where not given.",
+    help="Image file to write; its suffix sets the format. Default: INPUT with the suffix .png.",
 )
 @click.option(
     "--size",
     metavar="WxH",
-    help="Width and height of the picture in inches, or with a unit, such as 160x100mm; letters "
-    "keep their size.",
+    help="Width and height of the image in inches, or with a unit, such as 160x100mm; the "
+    "font size does not change.",
 )
 @click.option(
     "--dpi",
     type=float,
     metavar="N",
-    help="Dots an inch of a PNG, and of the images inside a PDF or SVG; 160 where not given.",
+    help="Dots per inch of a PNG and of the images inside a PDF or SVG; default: 160.",
 )
 @click.option(
     "--select",
@@ -73,11 +74,11 @@ def command(
 ) -> None:
     """Draw a model, BRDF samples or a fit.
 
-    INPUT is a FIT.json that 'gonio fit' wrote, a samples file, any BRDF file that gonio reads,
-    a session, or model:NAME, model:FILE.py or material:NAME. Without --kind it is drawn on one
-    page, a model as its lobe. With a fit come the samples it was made to, its posterior and, where
-    the session is still there, raw frames: the files are looked for by the names they had, from the
-    current folder and from the folder of INPUT.
+    INPUT is a FIT.json of 'gonio fit', a samples file, any BRDF file that gonio reads, a session,
+    or model:NAME, model:FILE.py or material:NAME. Without --kind, one page shows several plots; of
+    a model, the lobe is drawn. With a fit, its samples, posterior and raw frames are also drawn, if
+    the files exist. They are searched by their names in the current folder and in the folder of
+    INPUT.
     """
     named = source.startswith(SIGNS)
     given(model)
@@ -97,7 +98,7 @@ def command(
 
 
 def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str, ...]) -> None:
-    """Refuse what cannot be drawn or written before matplotlib is loaded."""
+    """Refuse invalid input and output before matplotlib is imported."""
     from gonio.cli.options import check_target
 
     if kind is not None and kind not in KINDS:
@@ -120,7 +121,7 @@ def _check(source: Path | None, output: Path, kind: str | None, items: tuple[str
 
 
 def _inches(size: str | None, dpi: float | None) -> tuple[float, float] | None:
-    """Width and height in inches; what no picture can have is refused before it is drawn."""
+    """Width and height in inches; impossible sizes are refused before drawing."""
     from gonio.plotting.style import check_size, parse_size
 
     inches = None if size is None else parse_size(size)
@@ -129,7 +130,7 @@ def _inches(size: str | None, dpi: float | None) -> tuple[float, float] | None:
 
 
 def _check_page(size: tuple[float, float], own: tuple[float, float]) -> None:
-    """Refuse a page on which the panels would run into each other."""
+    """Refuse a page that is too small for its panels."""
     least = SMALLEST_PAGE * own[0], SMALLEST_PAGE * own[1]
     if size[0] < least[0] or size[1] < least[1]:
         raise ConfigurationError(
@@ -141,7 +142,7 @@ def _check_page(size: tuple[float, float], own: tuple[float, float]) -> None:
 
 
 def _parameters(source: str, items: tuple[str, ...]) -> dict[str, float]:
-    """The parameters that were given for a model or a material."""
+    """The given parameters of a model or a material."""
     import gonio.materials as materials
     import gonio.models as models
     from gonio.cli.options import parse_parameters

@@ -1,4 +1,4 @@
-"""What `gonio fit` asks and tells of a posterior: priors in, the sampler's figures out."""
+"""Options of `gonio fit` for the posterior: sampler and priors."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def posterior_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(["auto", "marginal", "emcee"]),
             default="auto",
             show_default=True,
-            help="Of the posterior: the quick marginal sampler, or emcee, which takes over where "
-            "the other's checks fail.",
+            help="Sampler of the posterior: the fast marginal sampler, or emcee, which is also "
+            "used if the checks of the marginal sampler fail.",
         ),
         click.option(
             "--prior",
             "priors",
             multiple=True,
             metavar="NAME=PRIOR",
-            help="Prior of a parameter in the posterior: flat, log, normal(mean, sd), "
-            "lognormal(median, factor) or half_normal(sd), in the unit of files.",
+            help="Prior of a parameter: flat, log, normal(mean, sd), lognormal(median, factor) or "
+            "half_normal(sd), in the unit of files (degrees for angles).",
         ),
     ]
     for option in reversed(options):
@@ -44,12 +44,12 @@ def posterior_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def read_priors(items: tuple[str, ...], model: Model, *, posterior: bool) -> dict[str, str | Prior]:
     """Priors by parameter from texts in the unit of files, split at the first equals sign.
 
-    The prior of a name that the model does not have stays a text, which the fit refuses.
+    The prior of an unknown name remains a text, which the fit refuses.
 
     Raises
     ------
     ConfigurationError
-        If there is no posterior, or an item is not NAME=PRIOR, given twice or no prior.
+        If no posterior is requested, or an item is not NAME=PRIOR, is given twice or is no prior.
     """
     if items and not posterior:
         raise ConfigurationError(
@@ -57,8 +57,8 @@ def read_priors(items: tuple[str, ...], model: Model, *, posterior: bool) -> dic
         )
     from gonio.fitting.posterior.priors import parse
 
-    known = {q.name: q for q in model.parameters}
-    found: dict[str, str | Prior] = {}
+    by_name = {q.name: q for q in model.parameters}
+    priors: dict[str, str | Prior] = {}
     for item in items:
         name, _, text = (part.strip() for part in item.partition("="))
         if not (name and text):
@@ -67,8 +67,8 @@ def read_priors(items: tuple[str, ...], model: Model, *, posterior: bool) -> dic
                 "--prior 'alpha_x=normal(0.1, 0.02)'.",
                 value=item,
             )
-        if name in found:
+        if name in priors:
             raise ConfigurationError(f"--prior {name} is given twice; give it once.", value=item)
-        q = known.get(name.partition("[")[0])
-        found[name] = text if q is None else parse(replace(q, name=name), text)
-    return found
+        q = by_name.get(name.partition("[")[0])
+        priors[name] = text if q is None else parse(replace(q, name=name), text)
+    return priors

@@ -21,14 +21,14 @@ def progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     Parameters
     ----------
     doing : str
-        What is done, as the line begins: "simulating rolled_brass".
+        The work, as the beginning of the line: "simulating rolled_brass".
     unit : str
-        What is counted, in the plural.
+        The counted things, in the plural.
 
     Notes
     -----
-    stdout is never touched. One line tells the start and one the end; between them a terminal
-    shows a bar. An error or an interruption leaves the end line out.
+    Nothing is written to stdout. One line marks the start and one the end; between them a terminal
+    shows a bar. After an error or an interruption there is no end line.
     """
     click.echo(f"{doing} ...", err=True)
     start = time.monotonic()
@@ -48,7 +48,7 @@ def progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def stages() -> Iterator[Callable[[Stage, int, int], None]]:
-    """A callback (stage, done, total) that shows one stage of the work after the other.
+    """A callback (stage, done, total) that shows the stages of the work one after the other.
 
     A stage ends when all of it is done; the next one begins with its first call.
     """
@@ -73,7 +73,7 @@ def stages() -> Iterator[Callable[[Stage, int, int], None]]:
 
 
 def _nothing(done: int, total: int) -> None:
-    """Show nothing: the log of a batch job stays short."""
+    """Show nothing, to keep the log of a batch job short."""
 
 
 @contextmanager

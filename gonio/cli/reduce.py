@@ -28,29 +28,31 @@ if TYPE_CHECKING:
     type=click.Choice(["eq3", "exact"]),
     default="eq3",
     show_default=True,
-    help="How pixels become directions: by Ward's eq. (3), or by the law of reflection.",
+    help="How a pixel is mapped to a direction: by Ward's eq. (3), or by the law of reflection.",
 )
 @click.option(
     "--geometry",
     metavar="GEOMETRY.toml",
     type=click.Path(path_type=Path),
-    help="File of 'gonio calibrate alignment', in place of the geometry that the session states.",
+    help="File written by 'gonio calibrate alignment', to replace the geometry that the "
+    "session states.",
 )
 @click.option(
     "--retro",
     is_flag=True,
-    help="Keep what is seen through the patch where the lamp's beam enters the dome, flagged.",
+    help="Keep samples seen through the patch where the beam of the lamp enters the dome; "
+    "they are flagged.",
 )
 @click.option(
     "--force",
     is_flag=True,
-    help="Go on where frames are found to be wrong; the history says what is.",
+    help="Continue if frames are faulty; the history lists the faults.",
 )
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads to use; the samples do not depend on it.",
+    help="Number of worker threads; the samples do not depend on it.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
@@ -65,9 +67,10 @@ def command(
 ) -> None:
     """Turn the raw frames of SESSION into BRDF samples with uncertainties.
 
-    The exposures are merged, referred to the white standard, placed by the geometry of the dome
-    and averaged in cells, over which a fit integrates, with the lamp's cone. The file is written
-    whole or not at all.
+    The exposures of each image are merged and referred to the white standard. The geometry of the
+    dome gives the direction of each pixel. Neighbouring pixels are averaged into cells; a fit
+    integrates the model over the cells and the cone of the lamp. After an error no partial file is
+    left.
     """
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
@@ -97,10 +100,10 @@ def command(
             progress=callback,
         )
     samples.save(output)
-    _tell(samples, output, as_json)
+    _print(samples, output, as_json)
 
 
-def _tell(samples: BRDFSamples, output: Path, as_json: bool) -> None:
+def _print(samples: BRDFSamples, output: Path, as_json: bool) -> None:
     from gonio.cli.options import echo_json
 
     negative = int((samples.value < 0).sum())

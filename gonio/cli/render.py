@@ -1,4 +1,4 @@
-"""`gonio render`: a simple scene of one material as a picture."""
+"""`gonio render`: an image of a simple scene of one material."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ EDGE = 256  # pixels of the longer edge where no size is given
 @click.option(
     "--model",
     shell_complete=complete_model,
-    help="A name of 'gonio models', FILE.py or FILE.py:NAME.",
+    help="Model: a name of 'gonio models', FILE.py or FILE.py:NAME.",
 )
 @click.option(
     "--material",
     shell_complete=complete_material,
-    help="A named material instead of --model; see 'gonio materials'.",
+    help="Named material to use instead of --model; see 'gonio materials'.",
 )
 @click.option(
     "-p",
@@ -37,7 +37,7 @@ EDGE = 256  # pixels of the longer edge where no size is given
     "items",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A parameter of the model, angles in degrees; repeat for each.",
+    help="Value of a parameter of the model, angles in degrees; repeat for each parameter.",
 )
 @click.option(
     "--light",
@@ -45,27 +45,28 @@ EDGE = 256  # pixels of the longer edge where no size is given
     default="directional",
     show_default=True,
     metavar="|".join(LIGHTS),
-    help="A distant lamp, a rectangle that faces the middle of the scene, or all around.",
+    help="Kind of light: a distant lamp, a rectangle that faces the middle of the scene, or "
+    "an environment around it.",
 )
 @click.option(
     "--theta-i",
     type=float,
     metavar="DEG",
-    help="Angle of the light from the axis of the scene; where not given, that of the scene: 30 "
-    "above left for the sphere, the viewer's direction for vase and objects.",
+    help="Angle of the light from the axis of the scene. The default depends on the scene: "
+    "30 above left for the sphere, the viewer's direction for vase and objects.",
 )
 @click.option(
     "--phi-i",
     type=float,
     metavar="DEG",
-    help="Azimuth of the light about the axis: 0 right, 90 above. 0 where only --theta-i is given.",
+    help="Azimuth of the light about the axis: 0 right, 90 above. Default with --theta-i: 0.",
 )
 @click.option(
     "--irradiance",
     type=float,
     metavar="E",
-    help="Of a directional light across its beam, of an area light in the middle of the scene; "
-    "pi where not given, so that a white surface has radiance 1.",
+    help="Irradiance: of a directional light across its beam, of an area light in the middle "
+    "of the scene. Default: pi, so that a white surface has radiance 1.",
 )
 @click.option(
     "--distance",
@@ -73,14 +74,14 @@ EDGE = 256  # pixels of the longer edge where no size is given
     default=5.0,
     show_default=True,
     metavar="D",
-    help="Of an area light, in the unit of the scene: the radius of sphere and vase is 1.",
+    help="Distance of an area light, in the unit of the scene: the radius of sphere and vase is 1.",
 )
 @click.option(
     "--light-size",
     default="1",
     show_default=True,
     metavar="W[xH]",
-    help="Of an area light.",
+    help="Width and height of an area light.",
 )
 @click.option(
     "--map",
@@ -92,18 +93,22 @@ EDGE = 256  # pixels of the longer edge where no size is given
     "--theta-i and --phi-i place the sun of 'clear'.",
 )
 @click.option(
-    "--theta-r", type=float, metavar="DEG", help="Angle of the camera; the scene's where not given."
+    "--theta-r",
+    type=float,
+    metavar="DEG",
+    help="Angle of the camera from the axis; default: that of the scene.",
 )
 @click.option(
     "--phi-r",
     type=float,
     metavar="DEG",
-    help="Azimuth of the camera: 0 right, 90 above, -90 below. 0 where only --theta-r is given.",
+    help="Azimuth of the camera: 0 right, 90 above, -90 below. Default with --theta-r: 0.",
 )
 @click.option(
     "--projection",
     metavar="orthographic|perspective",
-    help="The scene's where not given: perspective for the plane.",
+    help="Projection of the camera; default: that of the scene, which is perspective for the "
+    "plane.",
 )
 @click.option(
     "--fov",
@@ -111,7 +116,7 @@ EDGE = 256  # pixels of the longer edge where no size is given
     default=30.0,
     show_default=True,
     metavar="DEG",
-    help="Angle of the picture's width in perspective.",
+    help="Horizontal field of view in perspective.",
 )
 @click.option(
     "--turn",
@@ -122,14 +127,14 @@ EDGE = 256  # pixels of the longer edge where no size is given
     help="Turn the brushed direction, the model's x axis, about the normal. At 0 it goes round "
     "sphere, vase and block, and to the right on a plane.",
 )
-@click.option("--floor", is_flag=True, help="Put a floor under the scene, for shadows to fall on.")
+@click.option("--floor", is_flag=True, help="Add a floor under the scene, on which shadows fall.")
 @click.option(
     "--bounces",
     type=int,
     default=0,
     show_default=True,
     metavar="N",
-    help="Light may go N times from surface to surface; 0 is direct light only.",
+    help="Largest number of reflections between surfaces; 0 is direct light only.",
 )
 @click.option(
     "--size",
@@ -142,7 +147,7 @@ EDGE = 256  # pixels of the longer edge where no size is given
     default=16,
     show_default=True,
     metavar="N",
-    help="Rays a pixel, a square number.",
+    help="Number of rays per pixel, a square number.",
 )
 @click.option(
     "--seed",
@@ -150,29 +155,29 @@ EDGE = 256  # pixels of the longer edge where no size is given
     default=0,
     show_default=True,
     metavar="N",
-    help="Everything random follows from this number.",
+    help="Seed of the random numbers.",
 )
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads to use; the picture does not depend on it.",
+    help="Number of worker threads; the image does not depend on it.",
 )
 @click.option(
     "--white",
     type=float,
     metavar="L",
-    help="Radiance that a PNG shows as white, on a linear scale; give it for pictures that are to "
-    "be compared. Where not given, what 99.5 % of the lit pixels do not exceed, and dark values "
-    "are lifted where a highlight would leave the rest nearly black.",
+    help="Radiance that a PNG shows as white, on a linear scale; set it for images that are "
+    "to be compared. Default: the radiance that 99.5 % of the lit pixels do not exceed; "
+    "dark values are raised where a highlight would leave the rest nearly black.",
 )
 @click.option(
     "-o",
     "--output",
     metavar="OUT.png",
     type=click.Path(path_type=Path),
-    help="Picture: .png to look at, or linear radiance as .pfm, .exr or .npy; SCENE.png where not "
-    "given.",
+    help="Image file to write: .png for viewing, or linear radiance as .pfm, .exr or .npy. "
+    "Default: SCENE.png.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
@@ -204,10 +209,10 @@ def command(
 ) -> None:
     """Draw a simple scene of one material: sphere, vase, plane or objects.
 
-    The scene's axis points to a viewer in front, or is the plane's normal. Directions of light and
-    camera are given about it: theta from the axis, phi 0 to the right and 90 above. Only light that
-    comes straight from the lamp is drawn where --bounces does not ask for more. A PNG says in its
-    text how radiance became grey.
+    The axis of the scene points to a viewer in front; for the plane it is the normal. Directions of
+    light and camera are relative to it: theta is the angle from the axis, phi is 0 to the right and
+    90 above. Without --bounces, only light that comes directly from the lamp is drawn. The text of
+    a PNG states how radiance was converted to grey values.
     """
     from gonio.cli.options import check_target, echo_json
     from gonio.cli.progress import progress
@@ -241,7 +246,7 @@ def command(
             p.name: float(f"{p.to_file(parameters[p.name]):.15g}") for p in chosen.parameters
         },
         "units": {p.name: p.file_unit for p in chosen.parameters},
-        "light": _told_light(light_name, at, irradiance, distance, light_size, map_name),
+        "light": _light_record(light_name, at, irradiance, distance, light_size, map_name),
         "camera": {
             "theta_r_deg": _degrees(camera.theta_r),
             "phi_r_deg": _degrees(camera.phi_r),
@@ -265,10 +270,10 @@ def command(
     if as_json:
         echo_json(document)
     else:
-        _tell(document, suffix, bounces)
+        _print(document, suffix, bounces)
 
 
-def _tell(document: dict[str, Any], suffix: str, bounces: int) -> None:
+def _print(document: dict[str, Any], suffix: str, bounces: int) -> None:
     from gonio.rendering.pictures import tone_text
 
     columns, rows = document["size"]
@@ -308,23 +313,23 @@ def _surface(
     if (model is None) == (material is None):
         given = "both were given" if model else "neither was given"
         raise ConfigurationError(f"give --model NAME or --material NAME; {given}.")
-    known: dict[str, float] = {}
+    values: dict[str, float] = {}
     if material is not None:
         named = materials.get(material)
-        model, known = named.model, dict(named.parameters)
+        model, values = named.model, dict(named.parameters)
     chosen = models.resolve(str(model))
-    known |= parse_parameters(chosen, items)
-    left_out = [p for p in chosen.parameters if p.name not in known]
+    values |= parse_parameters(chosen, items)
+    left_out = [p for p in chosen.parameters if p.name not in values]
     if left_out:
         defaults = ", ".join(f"{p.name} = {file_text(p, p.default)}" for p in left_out)
         click.echo(f"Default values are used for {defaults}.", err=True)
-    return chosen, {**{p.name: p.default for p in left_out}, **known}
+    return chosen, {**{p.name: p.default for p in left_out}, **values}
 
 
 def _direction(
     letter: str, theta: float | None, phi: float | None, own: tuple[float, float]
 ) -> tuple[float, float]:
-    """theta and phi in radians; what the scene has where neither was given."""
+    """theta and phi in radians; by default those of the scene."""
     if theta is None:
         if phi is not None:
             raise ConfigurationError(
@@ -371,7 +376,7 @@ def _light(
     return Rectangle.facing(*at, distance=distance, size=size, irradiance=power)
 
 
-def _told_light(
+def _light_record(
     name: str,
     at: tuple[float, float],
     irradiance: float | None,
@@ -379,17 +384,17 @@ def _told_light(
     light_size: str,
     map_name: str,
 ) -> dict[str, Any]:
-    """The light as plain data: what has a meaning for its kind."""
-    told: dict[str, Any] = {"kind": name}
+    """The light as a record for JSON: the settings that apply to its kind."""
+    record: dict[str, Any] = {"kind": name}
     if name != "environment" or map_name == "clear":
-        told |= {"theta_i_deg": _degrees(at[0]), "phi_i_deg": _degrees(at[1])}
+        record |= {"theta_i_deg": _degrees(at[0]), "phi_i_deg": _degrees(at[1])}
     if name == "environment":
-        return told | {"map": map_name}
-    told["irradiance"] = math.pi if irradiance is None else irradiance
+        return record | {"map": map_name}
+    record["irradiance"] = math.pi if irradiance is None else irradiance
     if name == "area":
         width, height = _two("--light-size", light_size, float)
-        told |= {"distance": distance, "size": [width, height or width]}
-    return told
+        record |= {"distance": distance, "size": [width, height or width]}
+    return record
 
 
 def _camera(
@@ -416,7 +421,7 @@ def _size(text: str | None, drawn: Scene) -> tuple[int, int]:
 
 
 def _two(option: str, text: str, kind: type[int] | type[float]) -> tuple[float, float | None]:
-    """One number or two with an x between."""
+    """One number, or two separated by x."""
     try:
         numbers = [kind(word) for word in text.lower().split("x")]
     except ValueError:

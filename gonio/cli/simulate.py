@@ -25,7 +25,7 @@ MAX_WEDGE_DEG = 45.0
 @click.option(
     "--model",
     shell_complete=complete_model,
-    help="A model instead of MATERIAL: a name of 'gonio models', FILE.py or FILE.py:NAME.",
+    help="Model to use instead of MATERIAL: a name of 'gonio models', FILE.py or FILE.py:NAME.",
 )
 @click.option(
     "-p",
@@ -33,8 +33,8 @@ MAX_WEDGE_DEG = 45.0
     "items",
     multiple=True,
     metavar="NAME=VALUE[,VALUE...]",
-    help="A parameter of --model, angles in degrees, one value or one for each channel of the "
-    "instrument; repeat for each.",
+    help="Value of a parameter of --model, angles in degrees: one value, or one for each "
+    "channel of the instrument. Repeat for each parameter.",
 )
 @click.option(
     "--instrument",
@@ -42,14 +42,14 @@ MAX_WEDGE_DEG = 45.0
     show_default=True,
     metavar="PRESET|FILE.toml",
     shell_complete=complete_instrument,
-    help="The instrument; see 'gonio instruments'.",
+    help="Virtual instrument; see 'gonio instruments'.",
 )
 @click.option(
     "--seed",
     default=0,
     show_default=True,
     metavar="N",
-    help="Everything random follows from this number.",
+    help="Seed of the random numbers.",
 )
 @click.option(
     "-o",
@@ -57,41 +57,41 @@ MAX_WEDGE_DEG = 45.0
     required=True,
     metavar="SESSION",
     type=click.Path(path_type=Path),
-    help="Folder of raw frames to make, or to continue after an interruption.",
+    help="Folder of raw frames to create, or to continue after an interruption.",
 )
 @click.option(
     "--plan",
     "plan_file",
     metavar="PLAN.toml",
     type=click.Path(path_type=Path),
-    help="Angles, exposures and takes of a file that 'gonio design -o' wrote.",
+    help="Plan file written by 'gonio design -o': angles, exposures and repeats.",
 )
 @click.option(
     "--theta-i",
     metavar="DEG,DEG,...",
-    help="Incidence angles; 21 from 0 to the reach of the lamp arm where not given.",
+    help="Angles of incidence; default: 21 angles from 0 to the largest angle of the lamp arm.",
 )
 @click.option(
     "--rotations",
     metavar="DEG,DEG,...",
-    help="Rotations of the sample; 0,45,90 for anisotropic surfaces, else 0, where not given.",
+    help="Rotations of the sample; default: 0,45,90 for anisotropic surfaces, else 0.",
 )
 @click.option(
     "--standard-at",
     type=float,
     metavar="DEG",
-    help="Take the white standard at this incidence only; at every one where not given.",
+    help="Take the white standard at this incidence only; default: at every incidence.",
 )
 @click.option(
     "--transmission",
     is_flag=True,
-    help="Light the sample from below; the standard is taken in reflection, at 45 where "
-    "--standard-at does not say.",
+    help="Light the sample from below. The standard is measured in reflection, at "
+    "--standard-at or else at 45.",
 )
 @click.option(
     "--mirror",
     is_flag=True,
-    help="Record a plane mirror, from which an alignment tells where the pixels look.",
+    help="Record a plane mirror; 'gonio calibrate alignment' finds the viewing directions from it.",
 )
 @click.option(
     "--wedge",
@@ -102,14 +102,14 @@ MAX_WEDGE_DEG = 45.0
 @click.option(
     "--truth-images/--no-truth-images",
     default=None,
-    help="Write what is true by the pixel beside the frames; where not given, if it takes a fifth "
-    "of their space at most.",
+    help="Write the true values of each pixel next to the frames. Default: only if they take "
+    "at most a fifth of the space of the frames.",
 )
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads to use; the frames do not depend on it.",
+    help="Number of worker threads; the frames do not depend on it.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 def command(
@@ -132,9 +132,9 @@ def command(
 ) -> None:
     """Record the raw frames of a surface on a virtual instrument.
 
-    Give a MATERIAL of 'gonio materials', or --model with its parameters, or --mirror. The frames
-    are on the disk as they are taken: after an interruption the same command continues, and the
-    result is the same to the last bit.
+    Give a MATERIAL of 'gonio materials', or --model with its parameters, or --mirror. Each frame is
+    written as it is taken. After an interruption the same command continues, and the result is
+    identical to the last bit.
     """
     from gonio.cli.progress import progress
     from gonio.instrument import load
@@ -145,24 +145,31 @@ def command(
     _check_plan(plan_file, theta_i, rotations, standard_at, mirror or transmission)
     planned = None if plan_file is None else read_plan(plan_file)
     chosen, parameters = (None, {}) if mirror else _surface(material, model, items)
-    rig = load(instrument)
+    chosen_instrument = load(instrument)
     if planned is None:
-        plan = _plan(rig, chosen, parameters, standard_at, transmission=transmission, wedge=wedge)
-        plan = _with_angles(plan, rig, theta_i, rotations)
+        plan = _plan(
+            chosen_instrument,
+            chosen,
+            parameters,
+            standard_at,
+            transmission=transmission,
+            wedge=wedge,
+        )
+        plan = _with_angles(plan, chosen_instrument, theta_i, rotations)
     else:
         plan = planned
         for angle in plan.theta_i_deg:
-            _check_reach("--plan", angle, rig, 0.0)
-    there = _frames_there(output)
+            _check_reach("--plan", angle, chosen_instrument, 0.0)
+    n_before = _frames_there(output)
     name = material or (chosen.name if chosen else MIRROR)
     try:
-        with progress(f"simulating {name} on {rig.name}", "frames") as callback:
+        with progress(f"simulating {name} on {chosen_instrument.name}", "frames") as callback:
             session = simulate(
                 material,
                 output=output,
                 model=chosen if model else None,
                 parameters=parameters if model else None,
-                instrument=rig,
+                instrument=chosen_instrument,
                 plan=plan,
                 seed=seed,
                 threads=threads,
@@ -171,7 +178,7 @@ def command(
             )
     except KeyboardInterrupt:
         _interrupted(output, plan)
-    _tell(session, there, seed, as_json)
+    _print(session, n_before, seed, as_json)
 
 
 def _check_mirror(
@@ -182,7 +189,7 @@ def _check_mirror(
     standard_at: float | None,
     transmission: bool,
 ) -> None:
-    """Refuse what does not go together with a mirror, or without one."""
+    """Refuse options that do not fit a mirror, and options that need one."""
     if not mirror:
         if wedge is not None:
             raise ConfigurationError("--wedge tilts a mirror; give --mirror with it.", value=wedge)
@@ -207,7 +214,7 @@ def _check_plan(
     standard_at: float | None,
     other_mode: bool,
 ) -> None:
-    """Refuse what a plan from a file says already."""
+    """Refuse options that a plan file already sets."""
     given = {
         "--theta-i": theta_i is not None,
         "--rotations": rotations is not None,
@@ -250,7 +257,7 @@ def _surface(
 
 
 def _values(model: Model, items: tuple[str, ...]) -> dict[str, Values]:
-    """Parameters by name, radians for angles; a list where one value a channel was given."""
+    """Parameters by name, radians for angles; a list if one value per channel was given."""
     from gonio.cli.options import parse_parameters
 
     one_by_one = [_one_value_each(item) for item in items]
@@ -279,7 +286,7 @@ def _one_value_each(item: str) -> list[str]:
 
 
 def _plan(
-    rig: Instrument,
+    instrument: Instrument,
     model: Model | None,
     parameters: dict[str, Values],
     standard_at: float | None,
@@ -287,7 +294,7 @@ def _plan(
     transmission: bool,
     wedge: float | None,
 ) -> Plan:
-    """The default plan of what is to be recorded."""
+    """The default plan for the surface."""
     from gonio.instrument.plans import default_plan, is_anisotropic, mirror_plan, transmission_plan
 
     if wedge is not None and not 0 <= wedge < MAX_WEDGE_DEG:
@@ -297,34 +304,38 @@ def _plan(
             value=wedge,
         )
     if model is None:
-        return mirror_plan(rig, wedge_deg=wedge or 0.0)
+        return mirror_plan(instrument, wedge_deg=wedge or 0.0)
     if standard_at is not None:
-        _check_reach("--standard-at", standard_at, rig, 0.0)
+        _check_reach("--standard-at", standard_at, instrument, 0.0)
     anisotropic = is_anisotropic(model, parameters)
     if transmission:
-        return transmission_plan(rig, anisotropic=anisotropic, standard_theta_i_deg=standard_at)
-    plan = default_plan(rig, anisotropic=anisotropic)
+        return transmission_plan(
+            instrument, anisotropic=anisotropic, standard_theta_i_deg=standard_at
+        )
+    plan = default_plan(instrument, anisotropic=anisotropic)
     return plan.model_copy(update={"standard_theta_i_deg": standard_at})
 
 
-def _with_angles(plan: Plan, rig: Instrument, theta_i: str | None, rotations: str | None) -> Plan:
-    """The plan with the angles that were given in place of its own."""
+def _with_angles(
+    plan: Plan, instrument: Instrument, theta_i: str | None, rotations: str | None
+) -> Plan:
+    """The plan with the given angles in place of its own."""
     change = {}
     if theta_i is not None:
         change["theta_i_deg"] = _degrees("--theta-i", theta_i)
-        lowest = -rig.theta_i_max_deg if plan.mode == "mirror" else 0.0
+        lowest = -instrument.theta_i_max_deg if plan.mode == "mirror" else 0.0
         for angle in change["theta_i_deg"]:
-            _check_reach("--theta-i", angle, rig, lowest)
+            _check_reach("--theta-i", angle, instrument, lowest)
     if rotations is not None:
         change["rotations_deg"] = _degrees("--rotations", rotations)
     return plan.model_copy(update=change)
 
 
-def _check_reach(option: str, angle: float, rig: Instrument, lowest: float) -> None:
-    if not lowest <= angle <= rig.theta_i_max_deg:
+def _check_reach(option: str, angle: float, instrument: Instrument, lowest: float) -> None:
+    if not lowest <= angle <= instrument.theta_i_max_deg:
         raise ConfigurationError(
-            f"{option}: {angle:g} deg is out of reach of the lamp arm of {rig.name}; "
-            f"allowed is {lowest:g} to {rig.theta_i_max_deg:g} deg.",
+            f"{option}: {angle:g} deg is out of reach of the lamp arm of {instrument.name}; "
+            f"allowed is {lowest:g} to {instrument.theta_i_max_deg:g} deg.",
             value=angle,
         )
 
@@ -348,7 +359,7 @@ def _frames_there(output: Path) -> int:
 
 
 def _interrupted(output: Path, plan: Plan) -> NoReturn:
-    """Say what is safe. The manifest on the disk is read: it is what a new start will find."""
+    """Report how many frames are saved, from the manifest on the disk."""
     raise SessionInterruptedError(
         f"interrupted; run the same command again to continue. {_frames_there(output)} of "
         f"{plan.n_frames} frames are safe in {output}.",
@@ -356,17 +367,17 @@ def _interrupted(output: Path, plan: Plan) -> NoReturn:
     ) from None
 
 
-def _tell(session: Session, there: int, seed: int, as_json: bool) -> None:
+def _print(session: Session, n_before: int, seed: int, as_json: bool) -> None:
     from gonio.cli.options import echo_json
 
     path = session.path
     size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     if as_json:
-        echo_json(_document(session, there, seed) | {"bytes": size})
-    elif there == session.n_done:
-        click.echo(f"{path}: already complete, {there} frames, {size / 1e6:.1f} MB.")
+        echo_json(_document(session, n_before, seed) | {"bytes": size})
+    elif n_before == session.n_done:
+        click.echo(f"{path}: already complete, {n_before} frames, {size / 1e6:.1f} MB.")
     else:
-        added = f", {there} of them from before" if there else ""
+        added = f", {n_before} of them from before" if n_before else ""
         click.echo(f"{path}: {session.n_done} frames{added}, {size / 1e6:.1f} MB.")
         click.echo(_summary(session))
 
@@ -374,8 +385,8 @@ def _tell(session: Session, there: int, seed: int, as_json: bool) -> None:
 def _summary(session: Session) -> str:
     """What was recorded, in one line.
 
-    Every number stands in the plan; this is for the person who wants to see at a glance that the
-    frames are those that were meant.
+    The plan states every number; this line shows at a glance whether the intended frames were
+    taken.
     """
     plan, camera = session.metadata.plan, session.metadata.camera
     images = ", ".join(
@@ -393,7 +404,7 @@ def _summary(session: Session) -> str:
     return "; ".join(parts) + "."
 
 
-def _document(session: Session, there: int, seed: int) -> dict[str, Any]:
+def _document(session: Session, n_before: int, seed: int) -> dict[str, Any]:
     metadata, plan = session.metadata, session.metadata.plan
     return {
         "schema": "gonio.simulate/1",
@@ -412,5 +423,5 @@ def _document(session: Session, there: int, seed: int) -> dict[str, Any]:
         "rows": metadata.camera.rows,
         "columns": metadata.camera.columns,
         "frames": session.n_done,
-        "frames_added": session.n_done - there,
+        "frames_added": session.n_done - n_before,
     }

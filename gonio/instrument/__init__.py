@@ -47,10 +47,12 @@ class Instrument(Part):
     15.0
     """
 
-    name: str = Field(description="written into every session")
+    name: str = Field(description="name, written into every session")
     description: str = Field(default="", description="one line for 'gonio instruments'")
     usable_theta_r_deg: float = Field(gt=0, le=90, description="rim mask of the reduction")
-    theta_i_max_deg: float = Field(default=75.0, gt=0, lt=90, description="reach of the lamp arm")
+    theta_i_max_deg: float = Field(
+        default=75.0, gt=0, lt=90, description="largest angle of incidence of the lamp arm"
+    )
     rays_per_pixel: Literal[1, 8, 16, 32, 64, 128, 256] = Field(
         default=16, description="rays traced for each pixel, pupil and source; 1 is the chief ray"
     )
@@ -62,7 +64,7 @@ class Instrument(Part):
     standard: Standard
     surroundings: Surroundings
     channels: tuple[Filter, ...] = Field(
-        default=(Filter(),), min_length=1, max_length=100, description="filters, one a channel"
+        default=(Filter(),), min_length=1, max_length=100, description="filters, one per channel"
     )
 
     @model_validator(mode="after")
@@ -80,7 +82,7 @@ class Instrument(Part):
         return self
 
     def altered(self, **parts: Mapping[str, Any]) -> Instrument:
-        """The instrument with some values of some parts changed; they are not checked.
+        """The instrument with changed values of some parts; the new values are not validated.
 
         Examples
         --------
@@ -128,7 +130,7 @@ def preset(name: str) -> Instrument:
     Raises
     ------
     ConfigurationError
-        If there is none of this name, with the nearest one.
+        If there is no preset of this name; the message suggests the nearest name.
     """
     if name not in preset_names():
         raise unknown_name("instrument", name, preset_names())
@@ -164,7 +166,7 @@ def _parse(text: str, where: str) -> Instrument:
 
 
 def _sentence(where: str, error: ValidationError) -> str:
-    """One complaint of pydantic as a sentence, with the nearest name of a wrong key."""
+    """An error of pydantic as a sentence, with the nearest name for a wrong key."""
     # A misspelt key is reported before the key that is then missing.
     complaints: list[Any] = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = complaints[0]

@@ -1,4 +1,4 @@
-"""The camera of an instrument on its own, before a calibration board."""
+"""The camera of an instrument without its dome, for photographs of a calibration board."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BoardCamera:
-    """The camera of an instrument on its own: lens and sensor, in the lens's own frame.
+    """The camera of an instrument without its dome: lens and sensor, in the frame of the lens.
 
     Parameters
     ----------
     lens : Lens
-        It may see beyond 180 deg here: a board stands in no dome.
+        Its field may exceed 180 deg, because there is no dome.
     sensor : Sensor
-        Its binning is that of the photographs.
+        The sensor, with the binning of the photographs.
 
     Raises
     ------
     ConfigurationError
-        If the lens's radius stops growing before the edge of its field.
+        If the image radius does not increase with theta up to the edge of the field.
     """
 
     lens: Lens
@@ -47,21 +47,20 @@ class BoardCamera:
     @classmethod
     def of(
         cls,
-        rig: Instrument,
+        instrument: Instrument,
         *,
         binning: int = 1,
         centre_offset_px: tuple[float, float] | None = None,
         psf_px: float | None = None,
         field_deg: float | None = None,
     ) -> BoardCamera:
-        """The camera of an instrument, with what is given in place of its own values.
+        """The camera of an instrument, with the given values in place of its own.
 
         Parameters
         ----------
-        rig : Instrument
+        instrument : Instrument
         binning : int
-            Side of the block of pixels whose counts are summed; boards are photographed in full
-            resolution where nothing is said.
+            Side of the block of pixels whose counts are summed; default: full resolution.
         centre_offset_px : tuple of float, optional
             Column and row of the lens axis from the middle of the window, unbinned pixels.
         psf_px : float, optional
@@ -74,11 +73,11 @@ class BoardCamera:
         ConfigurationError
             If a value is out of range or the binning does not divide the window.
         """
-        sensor = rig.sensor
+        sensor = instrument.sensor
         if binning < 1 or sensor.rows % binning or sensor.columns % binning:
             raise ConfigurationError(
                 f"binning {binning} does not divide the {sensor.columns} x {sensor.rows} pixels "
-                f"of {rig.name}.",
+                f"of {instrument.name}.",
                 value=binning,
             )
         for name, value, most in (("psf_px", psf_px, 50.0), ("field_deg", field_deg, 300.0)):
@@ -95,7 +94,7 @@ class BoardCamera:
             change["centre_offset_px"] = centre_offset_px
         given = {"psf_px": psf_px, "field_deg": field_deg}
         return cls(
-            rig.lens.model_copy(update={k: v for k, v in given.items() if v is not None}),
+            instrument.lens.model_copy(update={k: v for k, v in given.items() if v is not None}),
             sensor.model_copy(update=change),
         )
 

@@ -1,4 +1,4 @@
-"""Photographs of a calibration board as files, with what they show beside them."""
+"""Photographs of a calibration board as files, with their true poses."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ def save_photos(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Take n photographs and write them as PNG, with what they show in `truth/truth.json`.
+    """Take n photographs and write them as PNG, with their true poses in `truth/truth.json`.
 
     Parameters
     ----------
     folder : Path
-        Made where it is missing; must hold no photographs.
+        Created if it does not exist; must not contain photographs.
     board, camera : Board, BoardCamera
     n : int
-        How many.
+        Number of photographs.
     seed : int
-        Of poses, room and noise.
+        Seed of the random numbers: poses, room and noise.
     bits : {8, 16}
-        Of the files: counts scaled to 255, or times the largest whole number that fits 16 bits.
+        Bits per pixel: counts scaled to 255, or times the largest integer factor that fits 16 bits.
     threads : int, optional
-        The photographs do not depend on it.
+        Number of worker threads; the photographs do not depend on it.
     progress : callable, optional
         Called with (done, total).
 
@@ -56,7 +56,7 @@ def save_photos(
     Raises
     ------
     ConfigurationError
-        If `n` is less than 1 or the folder holds something else.
+        If `n` is less than 1 or the folder contains other files.
     DataError
         If a file cannot be written.
     """
@@ -111,7 +111,7 @@ def _write_png(path: Path, image: NDArray[Any]) -> None:
 def _document(
     board: Board, camera: BoardCamera, names: list[str], poses: list[Pose], seed: int
 ) -> dict[str, Any]:
-    """What the photographs show; corners are listed where the field shows them."""
+    """Poses of the photographs, with those corners that lie in the field."""
     photos = []
     for name, pose in zip(names, poses, strict=True):
         points = pose.to_camera(board.corners_mm())

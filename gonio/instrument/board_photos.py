@@ -1,8 +1,8 @@
 """Photographs of calibration boards as the camera of a virtual instrument takes them.
 
-The camera stands alone: no dome, no lamp arm, a board held before the lens in a lit room. Every
-pixel averages a grid of rays through the lens onto the board; the lens's blur, its fall-off
-towards the rim and the sensor's noise follow.
+There is no dome and no lamp arm: a board is held in front of the lens in a lit room. Every pixel
+averages a grid of rays through the lens onto the board. Then follow the blur of the lens, its
+fall-off towards the rim, and the noise of the sensor.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from gonio.instrument.board_poses import Pose
 from gonio.instrument.noise import expose
 from gonio.kernels.threads import map_blocks
 
-WHITE, BLACK = 0.9, 0.05  # reflectance of the board's paper and ink
-ROOM = 0.35  # mean reflectance of what stands behind the board
+WHITE, BLACK = 0.9, 0.05  # reflectance of paper and ink of the board
+ROOM = 0.35  # mean reflectance of the background behind the board
 EXPOSED = 0.7  # of the sensor's range, for white on the axis
 GRID, FINE_GRID = 4, 12  # rays along the side of a pixel, and of one that an edge crosses
 _OUTSIDE = -1.0
@@ -30,7 +30,7 @@ _OUTSIDE = -1.0
 
 @dataclass(frozen=True)
 class _Pixels:
-    """The pixels inside the image circle: where they look, and how that changes across them."""
+    """The pixels inside the image circle: directions, and change of direction across them."""
 
     index: NDArray[np.int64]  # (n,) flat
     direction: FloatArray  # (n, 3)
@@ -40,7 +40,7 @@ class _Pixels:
 
 
 class Photographer:
-    """Takes photographs of one board with one camera."""
+    """A virtual photographer of one board with one camera."""
 
     def __init__(self, board: Board, camera: BoardCamera, *, threads: int | None = None) -> None:
         self.board, self.camera, self.threads = board, camera, threads
@@ -100,10 +100,10 @@ class Photographer:
 
 
 def _pixels(camera: BoardCamera) -> _Pixels:
-    """The lens's table: a pixel's rays follow from its middle's to first order.
+    """Table of the lens: the rays of a pixel follow from its central ray to first order.
 
-    What is left out is 1/(24 f^2) in angle, f in pixels: below 1e-3 of a pixel for any fisheye of
-    more than 100 pixels across.
+    The neglected term is 1/(24 f^2) in angle, f in pixels: less than 1e-3 of a pixel for a fisheye
+    image of more than 100 pixels across.
     """
     lens, pitch = camera.lens, camera.pitch_mm
     x, y = (grid.ravel() for grid in np.meshgrid(*camera.sensor.positions_mm()))
@@ -128,7 +128,7 @@ def _pixels(camera: BoardCamera) -> _Pixels:
 
 
 def _room(direction: FloatArray, seed: int) -> FloatArray:
-    """What is seen past the board: a room, brighter to one side."""
+    """Radiance of the room behind the board, brighter to one side."""
     rng = np.random.default_rng([seed, 7])
     light = unit_vectors(rng.uniform(0.5, 1.5), rng.uniform(-np.pi, np.pi))
     return np.asarray(ROOM * (1 + 0.4 * direction @ light))

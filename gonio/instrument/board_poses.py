@@ -1,4 +1,4 @@
-"""Places of a calibration board before the camera, drawn at random."""
+"""Random poses of a calibration board in front of the camera."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 @dataclass(frozen=True)
 class Pose:
-    """Place of a board before the camera: X_camera = rotation X_board + translation (mm)."""
+    """Pose of a board in front of the camera: X_camera = rotation X_board + translation (mm)."""
 
     rotation: FloatArray
     translation: FloatArray
@@ -32,13 +32,13 @@ class Pose:
 
 
 def draw_poses(board: Board, camera: BoardCamera, n: int, rng: np.random.Generator) -> list[Pose]:
-    """Places for n photographs: in the middle, half-way and at the rim, all around, tilted.
+    """Poses for n photographs: in the middle, half-way and at the rim, at all azimuths, tilted.
 
-    A plain chessboard is found only where it is seen whole: it is moved towards the axis until
+    A plain chessboard is detected only if all of it is visible. It is moved towards the axis until
     its outer corners are in the field.
     """
     rings = _rings(n, rng)
-    # Turned by the golden angle from one to the next in its ring, few or many go all around.
+    # Steps of the golden angle within a ring cover all azimuths, for few photographs and many.
     steps = [rings[:k].count(ring) for k, ring in enumerate(rings)]
     return [
         _draw_pose(board, camera, ring, step * _GOLDEN, rng)
@@ -47,7 +47,7 @@ def draw_poses(board: Board, camera: BoardCamera, n: int, rng: np.random.Generat
 
 
 def _rings(n: int, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """The ring of each photograph, in their shares, mixed."""
+    """The ring of each photograph: rings in their shares, interleaved."""
     last = np.cumsum([share for _, _, share in _RINGS])
     chosen = np.searchsorted(last, (np.arange(n) + 0.5) / n)
     return [_RINGS[k][:2] for k in rng.permutation(np.minimum(chosen, len(_RINGS) - 1))]

@@ -22,7 +22,7 @@ class Dome(Part):
 
     Examples
     --------
-    The pixel that looks straight up sees, in an ellipsoid, the ray that T sends to the same point:
+    In an ellipsoid, the pixel that looks straight up receives the ray from T to the same point:
 
     >>> theta_r, phi_r = Dome(shape="ellipsoid", R=150.0, D=15.0).reflected_angles(0.0, 0.0)
     >>> round(float(np.degrees(theta_r)), 3), round(float(np.degrees(phi_r)), 3)
@@ -30,12 +30,14 @@ class Dome(Part):
     """
 
     shape: Literal["sphere", "ellipsoid"] = Field(
-        default="ellipsoid", description="the ellipsoid has its foci in camera and target"
+        default="ellipsoid", description="shape; the ellipsoid has its foci in camera and target"
     )
     R: float = Field(gt=0, description="radius of the sphere, semi-minor axis of the ellipsoid, mm")
     D: float = Field(gt=0, description="half the separation of camera and target, mm")
     reflectance: float = Field(default=0.45, gt=0, lt=1, description="R_d of the coating")
-    transmittance: float = Field(default=0.45, gt=0, lt=1, description="T_d, light's way in")
+    transmittance: float = Field(
+        default=0.45, gt=0, lt=1, description="T_d of the coating, for light that enters"
+    )
     slope_error_deg: float = Field(
         default=0.0, ge=0, description="sd of the surface slope at the zenith"
     )
@@ -43,7 +45,7 @@ class Dome(Part):
         default=0.0, ge=0, description="sd of the slope at the rim, added as (theta/90 deg)^6"
     )
     slope_correlation_deg: float = Field(
-        default=10.0, gt=0, description="distance over which slope errors are alike"
+        default=10.0, gt=0, description="correlation length of the slope errors"
     )
     reflectance_variation: float = Field(
         default=0.0, ge=0, le=0.3, description="relative sd of the reflectance over the dome"
@@ -52,7 +54,7 @@ class Dome(Part):
         default=0.0, ge=0, le=0.3, description="relative sd of the transmittance over the dome"
     )
     coating_correlation_deg: float = Field(
-        default=30.0, gt=0, description="distance over which the coating is alike"
+        default=30.0, gt=0, description="correlation length of the coating"
     )
 
     @model_validator(mode="after")
@@ -139,8 +141,8 @@ class Dome(Part):
         """Slope errors (..., 2) in radians at points of the dome, a smooth random field.
 
         A sum of plane waves in space with Gaussian wave numbers: its correlation falls as
-        exp(-s^2 / 2 c^2) with the distance s, c being `slope_correlation_deg` as an arc of R. The
-        field belongs to the dome: one seed, one field.
+        exp(-s^2 / 2 c^2) with the distance s, c being `slope_correlation_deg` as an arc of R. One
+        seed always gives the same field.
         """
         theta = np.arctan2(np.hypot(point[..., 0], point[..., 1]), point[..., 2])
         sd = np.radians(
@@ -158,7 +160,7 @@ class Dome(Part):
         point : ndarray, shape (..., 3)
             Points of the dome, mm.
         rng : numpy.random.Generator
-            The fields belong to the dome: one seed, one coating.
+            Generator of the fields; one seed always gives the same coating.
 
         Returns
         -------

@@ -8,10 +8,12 @@ from gonio.instrument.part import Part
 
 
 class Filter(Part):
-    """A channel and how much light it lets through."""
+    """A channel and its transmitted signal."""
 
     name: str = Field(default="", description="name of the channel")
-    wavelength_nm: float | None = Field(default=None, gt=0, description="where it lets light pass")
+    wavelength_nm: float | None = Field(
+        default=None, gt=0, description="wavelength at which it transmits"
+    )
     relative_rate: float = Field(
-        default=1.0, gt=0, description="photo-electrons over those that white_rate_e_per_s says"
+        default=1.0, gt=0, description="photo-electrons relative to white_rate_e_per_s"
     )

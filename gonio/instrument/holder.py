@@ -1,4 +1,4 @@
-"""The holder: the sample's size and how well it lies."""
+"""The holder: size of the sample and errors of its position."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gonio.instrument.part import Part
 
 
 class Holder(Part):
-    """Carries the sample at the target point and turns it by hand about its normal."""
+    """Holder of the sample at the target point; it is rotated by hand about its normal."""
 
     sample_diameter_mm: float = Field(gt=0, description="diameter of the sample")
     height_mm: float = Field(
@@ -19,12 +19,13 @@ class Holder(Part):
     tilt_deg: float = Field(
         default=0.0, ge=0, le=20, description="tilt of the sample's normal, in the laboratory"
     )
-    tilt_azimuth_deg: float = Field(default=0.0, description="azimuth that it is tilted towards")
+    tilt_azimuth_deg: float = Field(default=0.0, description="azimuth of the tilt")
     azimuth_deg: float = Field(
         default=0.0,
         ge=-180,
         le=180,
-        description="turn of the sample, counter-clockwise, that the plan's rotations do not count",
+        description="counter-clockwise rotation of the sample that the plan's rotations do not "
+        "include",
     )
     u_azimuth_deg: float = Field(
         default=0.0,
@@ -34,7 +35,7 @@ class Holder(Part):
     )
 
     def on_surface(self, vectors: FloatArray) -> FloatArray:
-        """Laboratory vectors (..., 3) in the frame of the sample before it is turned by hand."""
+        """Laboratory vectors (..., 3) in the frame of the sample before it is rotated by hand."""
         if not self.tilt_deg:
             return vectors
         return tilted(vectors, np.radians(self.tilt_deg), np.radians(self.tilt_azimuth_deg))

@@ -1,6 +1,6 @@
-"""Expected images: the stages of image formation in the order in which light passes them.
+"""Expected images: the stages of image formation in the order of the light path.
 
-sample or standard -> light that goes round twice -> lamp stray -> lamp drift -> room light ->
+sample or standard -> multiple reflections -> stray light of the lamp -> lamp drift -> room light ->
 filter -> point spread -> PRNU and dead pixels. What follows, dark current, noise and counts, is
 `noise.expose`.
 """
@@ -20,7 +20,7 @@ from gonio.models import Model
 
 @dataclass(frozen=True)
 class Surface:
-    """What lies on the holder.
+    """The surface on the holder.
 
     Parameters
     ----------
@@ -38,18 +38,18 @@ class Surface:
 
 @dataclass(frozen=True)
 class Fixed:
-    """What chance decided once for all images of a session.
+    """Random errors that are drawn once for all images of a session.
 
     Parameters
     ----------
     dome_seed, pattern_seed : int
         Seeds of the dome's fields and of the camera's fixed patterns.
     standard_scale : float
-        The standard's true reflectance over its certified one.
+        True reflectance of the standard over its certified value.
     multibounce_scale : float
-        The true g of `imaging.multibounce_gain` over the stated one.
+        True g of `imaging.multibounce_gain` over the stated value.
     azimuth : float
-        Turn of the sample that the plan's rotations do not count, radians.
+        Rotation of the sample that the plan's rotations do not include, radians.
     """
 
     dome_seed: int
@@ -69,7 +69,7 @@ class Images:
     plan : Plan
     fixed : Fixed
     threads : int, optional
-        The images do not depend on it.
+        Number of worker threads; the images do not depend on it.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Images:
     def rates(
         self, role: Role, take: int, incidence: int, lamp: Sequence[float] | FloatArray
     ) -> list[FloatArray]:
-        """Photo-electrons a second (rows, columns), dark current not included, a channel each.
+        """Photo-electrons per second (rows, columns) without dark current, for each channel.
 
         Parameters
         ----------
@@ -134,64 +134,64 @@ class Images:
         return role == "sample" or incidence < len(self.plan.theta_i_deg)
 
     def _standard(self, theta_i: float) -> FloatArray:
-        rig, scale = self.instrument, self.fixed.standard_scale
-        weights = imaging.lit_weights(rig, self.rays, theta_i)
+        instrument, scale = self.instrument, self.fixed.standard_scale
+        weights = imaging.lit_weights(instrument, self.rays, theta_i)
         f = scale * np.einsum("ij,ij->i", weights, self._f_standard)
-        rho = scale * rig.standard.reflectance
-        gain = imaging.multibounce_gain(rig, rho, self.fixed.multibounce_scale)
+        rho = scale * instrument.standard.reflectance
+        gain = imaging.multibounce_gain(instrument, rho, self.fixed.multibounce_scale)
         return np.asarray(self.white * self._irradiance(theta_i) * np.pi * f * gain)
 
     def _sample(self, model: Model, theta_i: float, psi: float, *, below: bool) -> list[FloatArray]:
-        """The sample's light, a channel each; f of equal parameters is taken once."""
-        rig = self.instrument
-        weights = imaging.lit_weights(rig, self.rays, theta_i)
+        """Light from the sample, for each channel; f of equal parameters is computed once."""
+        instrument = self.instrument
+        weights = imaging.lit_weights(instrument, self.rays, theta_i)
         w_r = self._viewing(psi)
         # Light from below is taken as if mirrored in the plane of the sample: w_i' = (x, y, |z|).
-        lamp = rig.lamp.directions(theta_i, self.rays.source)
-        w_i = imaging.in_sample_frame(rig, lamp, psi)
-        made: dict[bytes, FloatArray] = {}
+        lamp = instrument.lamp.directions(theta_i, self.rays.source)
+        w_i = imaging.in_sample_frame(instrument, lamp, psi)
+        rates: dict[bytes, FloatArray] = {}
         for p in self.surface.p:
-            if p.tobytes() in made:
+            if p.tobytes() in rates:
                 continue
             f = imaging.mean_brdf(model, p, w_i, w_r, weights, threads=self.threads)
             gain = 1.0
-            if rig.surroundings.multibounce and not below:
+            if instrument.surroundings.multibounce and not below:
                 centre = w_i.mean(axis=0)
                 rho = imaging.albedo(model, p, centre / np.linalg.norm(centre))
-                gain = imaging.multibounce_gain(rig, rho, self.fixed.multibounce_scale)
+                gain = imaging.multibounce_gain(instrument, rho, self.fixed.multibounce_scale)
             irradiance = self._irradiance(theta_i, below=below)
-            made[p.tobytes()] = self.white * irradiance * np.pi * f * gain
-        return [made[p.tobytes()] for p in self.surface.p]
+            rates[p.tobytes()] = self.white * irradiance * np.pi * f * gain
+        return [rates[p.tobytes()] for p in self.surface.p]
 
     def _mirror(self, theta_i: float, psi: float) -> FloatArray:
-        rig, seed = self.instrument, self.fixed.dome_seed
+        instrument, seed = self.instrument, self.fixed.dome_seed
         wedge = np.radians(self.plan.wedge_deg)
-        spot = mirror.spot_rate(rig, self.rays, theta_i, wedge=wedge, psi=psi, seed=seed)
-        return spot * imaging.entry_transmittance(rig, theta_i, seed)
+        spot = mirror.spot_rate(instrument, self.rays, theta_i, wedge=wedge, psi=psi, seed=seed)
+        return spot * imaging.entry_transmittance(instrument, theta_i, seed)
 
     def _room_light(self, role: Role, psi: float) -> list[FloatArray]:
-        """Room light on its own way and by way of what lies on the holder, a channel each."""
-        rig, n = self.instrument, len(self.plan.channels)
-        direct = imaging.ambient_rate(rig, self.rays)
-        if not rig.surroundings.ambient_reflected or role == "background":
+        """Room light, direct and reflected by the surface on the holder, for each channel."""
+        instrument, n = self.instrument, len(self.plan.channels)
+        direct = imaging.ambient_rate(instrument, self.rays)
+        if not instrument.surroundings.ambient_reflected or role == "background":
             return [direct] * n
         if role == "standard":
             shown = np.pi * self.fixed.standard_scale * self._f_standard.mean(axis=1)
-            return [direct + imaging.reflected_ambient_rate(rig, self.rays, shown)] * n
+            return [direct + imaging.reflected_ambient_rate(instrument, self.rays, shown)] * n
         if self.surface.model is None or self.plan.mode == "transmission":
-            # What a mirror shows of the room, and what a sheet throws back, is not known.
+            # The room's image in a mirror and the reflection of a transmitting sheet are unknown.
             return [direct] * n
-        w_r = imaging.in_sample_frame(rig, self.mean_directions, psi)
+        w_r = imaging.in_sample_frame(instrument, self.mean_directions, psi)
         return [
             direct
             + imaging.reflected_ambient_rate(
-                rig, self.rays, imaging.even_light_reflectance(self.surface.model, p, w_r)
+                instrument, self.rays, imaging.even_light_reflectance(self.surface.model, p, w_r)
             )
             for p in self.surface.p
         ]
 
     def _viewing(self, psi: float) -> FloatArray:
-        """Viewing directions of the rays (n, rays, 3) in the frame of the turned sample."""
+        """Viewing directions of the rays (n, rays, 3) in the frame of the rotated sample."""
         if self._turned[0] != psi:
             self._turned = (psi, imaging.in_sample_frame(self.instrument, self.rays.w_r, psi))
         return self._turned[1]
@@ -200,7 +200,7 @@ class Images:
         return imaging.irradiance(self.instrument, theta_i, self.fixed.dome_seed, below=below)
 
     def _image(self, signal: FloatArray) -> FloatArray:
-        """Light of the pixels in the image circle, put into the frame and through the camera."""
+        """Frame of the camera from the light of the pixels in the image circle."""
         sensor = self.instrument.sensor
         rate = np.zeros(sensor.shape)
         rate.ravel()[self.rays.pixel] = np.maximum(signal, 0.0)

@@ -1,14 +1,13 @@
-"""Image formation: from a BRDF to photo-electrons a second in every pixel.
+"""Image formation: from a BRDF to photo-electrons per second in every pixel.
 
-Every pixel averages a few rays. Each has its own place in the pixel, in the lens pupil and in the
-source; it is traced through the lens, off the dome and down to the sample, and counts where it
-lands on lit sample. The places are low-discrepancy points whose first and second moments are made
-exact, so that the narrow kernels of pixel, pupil and source act on a lobe as the full integrals
-would, to fourth order.
+Every pixel averages a few rays. Each ray has its own position in the pixel, in the lens pupil and
+in the source. It is traced through the lens and off the dome to the sample, and counts if it lands
+on the lit sample. The positions are low-discrepancy points with exact first and second moments, so
+that the narrow kernels of pixel, pupil and source act on a lobe as the full integrals do, to fourth
+order.
 
-Each stage is a function of its own that takes an instrument and traced rays; `images.py` says in
-which order they follow each other. Everything is relative to `white_rate`, the signal of a
-perfect white surface lit at normal incidence.
+Each stage is a function of an instrument and traced rays; `images.py` defines their order. All
+signals are relative to `white_rate`, the signal of a perfect white surface lit at normal incidence.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ if TYPE_CHECKING:
 
 
 _MOST_EVALUATIONS = 100_000  # of f for one albedo
-_BLOCK = 4096  # pixels whose rays are worked on at a time: some MB
+_BLOCK = 4096  # pixels per block of work: a few MB of rays
 
 
 def ray_pattern(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places of n rays in a pixel, a pupil and a source, each of shape (n, 2).
+    """Positions of n rays in a pixel, a pupil and a source, each of shape (n, 2).
 
     The pixel is the square [-1/2, 1/2]^2, pupil and source are discs of radius 1. Means are 0,
     variances those of the uniform square (1/12) and disc (1/4), covariances 0.
@@ -71,15 +70,15 @@ class Rays:
     w_r : ndarray, shape (n, rays, 3)
         Directions from sample to dome.
     landing : ndarray, shape (n, rays, 2)
-        Where each ray meets the plane of the sample's surface, mm from its middle.
+        Point where each ray meets the plane of the sample's surface, mm from its centre.
     source : ndarray, shape (rays, 2)
-        Each ray's place in the source, unit disc.
+        Position of each ray in the source, unit disc.
     spread : float
         Largest angle between the first and another ray of one pixel, radians.
     reach : ndarray, shape (n,)
         Largest distance from the target at which a ray of the pixel lands, mm.
     point : ndarray, shape (n, 3)
-        Where the pixel's rays meet the dome, their mean, mm.
+        Mean point where the rays of the pixel meet the dome, mm.
     """
 
     pixel: NDArray[np.int64]
@@ -101,7 +100,7 @@ def trace_rays(instrument: Instrument, seed: int, *, threads: int | None = None)
     seed : int
         Seed of the dome's slope errors and of its coating.
     threads : int, optional
-        The rays do not depend on it.
+        Number of worker threads; the rays do not depend on it.
     """
     lens, dome, sensor = instrument.lens, instrument.dome, instrument.sensor
     in_pixel, in_pupil, in_source = ray_pattern(instrument.rays_per_pixel)
@@ -149,7 +148,7 @@ def trace_points(
     points : ndarray, shape (n, rays, 2)
         On the sensor, mm from the lens axis.
     in_pupil : ndarray, shape (rays, 2)
-        Each ray's place in the pupil, unit disc.
+        Position of each ray in the pupil, unit disc.
     seed : int
         Seed of the dome's slope errors.
 
@@ -173,7 +172,7 @@ def trace_points(
 
 
 def _coating_rng(seed: int) -> np.random.Generator:
-    """The coating is another field of the same dome than the slope errors."""
+    """Generator of the coating, independent of that of the slope errors of the same dome."""
     return np.random.default_rng([seed, 1])
 
 
@@ -229,16 +228,16 @@ def sample_share(instrument: Instrument, rays: Rays) -> FloatArray:
 
 
 def white_rate(instrument: Instrument, rays: Rays) -> FloatArray:
-    """Photo-electrons a second, shape (n,), from a perfect white lit at normal incidence."""
+    """Photo-electrons per second, shape (n,), from a perfect white lit at normal incidence."""
     dome, sensor = instrument.dome, instrument.sensor
     on_axis = instrument.lamp.white_rate_e_per_s * dome.transmittance * dome.reflectance
     return sensor.n_summed * on_axis * rays.throughput
 
 
 def multibounce_gain(instrument: Instrument, rho: float, scale: float = 1.0) -> float:
-    """Growth of the irradiance by light that lens and dome throw back: 1 + g rho.
+    """Increase of the irradiance by light that lens and dome reflect back: 1 + g rho.
 
-    `scale` is the true g over the one that the instrument's data sheet states.
+    `scale` is the true g over the value in the data sheet of the instrument.
     """
     return 1 + scale * instrument.surroundings.multibounce * rho
 
@@ -246,8 +245,8 @@ def multibounce_gain(instrument: Instrument, rho: float, scale: float = 1.0) -> 
 def irradiance(instrument: Instrument, theta_i: float, seed: int, *, below: bool = False) -> float:
     """Irradiance of the sample over that of a sample lit at normal incidence from above.
 
-    T_d(P_i)/T_d cos(theta_i), with the angle to the normal of the sample as it lies; light from
-    below passes no dome on its way in: cos(theta_i)/T_d.
+    T_d(P_i)/T_d cos(theta_i), with the angle to the true normal of the sample. Light from below
+    does not pass the dome on its way in: cos(theta_i)/T_d.
 
     Parameters
     ----------
@@ -310,7 +309,7 @@ def albedo(model: Model, p: FloatArray, w_i: FloatArray) -> float:
     """Directional-hemispherical reflectance for light from one direction (3,)."""
     theta_i, phi_i = (float(angle) for angle in angles(w_i))
     named = dict(zip(model.names, p.tolist(), strict=True))
-    # The signal changes by some percent of it: a narrow lobe must be met, digits are not needed.
+    # It changes the signal by some per cent: narrow lobes must be sampled, few digits suffice.
     return directional_albedo(
         model, named, theta_i, phi_i, rtol=1e-4, max_evaluations=_MOST_EVALUATIONS
     ).value
@@ -319,9 +318,9 @@ def albedo(model: Model, p: FloatArray, w_i: FloatArray) -> float:
 def stray_rate(
     instrument: Instrument, rays: Rays, theta_i: float, *, below: bool = False
 ) -> FloatArray:
-    """Lamp light, e-/s, that reaches each pixel (n,) without the sample's help.
+    """Stray light of the lamp, e-/s, in each pixel (n,), without reflection by the sample.
 
-    From below the beam enters no dome: there is no entry patch.
+    A beam from below does not enter the dome: there is no entry patch.
     """
     surroundings = instrument.surroundings
     share = np.full(len(rays.w_r), surroundings.stray)
@@ -336,20 +335,20 @@ def stray_rate(
 
 
 def ambient_rate(instrument: Instrument, rays: Rays) -> FloatArray:
-    """Room light, e-/s, that reaches each pixel (n,) whether a sample lies there or not."""
+    """Room light, e-/s, that reaches each pixel (n,) with and without a sample."""
     return instrument.surroundings.ambient * white_rate(instrument, rays)
 
 
 def reflected_ambient_rate(
     instrument: Instrument, rays: Rays, reflectance: FloatArray
 ) -> FloatArray:
-    """Room light, e-/s, that the sample throws to each pixel (n,).
+    """Room light, e-/s, that the sample reflects to each pixel (n,).
 
     Parameters
     ----------
     reflectance : ndarray, shape (n,)
-        Hemispherical-directional reflectance: what a sample in even light shows in comparison
-        with a perfect white one. By reciprocity it is the albedo for light from that direction.
+        Hemispherical-directional reflectance: radiance of a sample in even light relative to a
+        perfect white. By reciprocity it is the albedo for light from that direction.
     """
     share = instrument.surroundings.ambient_reflected * sample_share(instrument, rays)
     return np.asarray(share * reflectance * white_rate(instrument, rays))
@@ -377,8 +376,8 @@ _N_AZIMUTHS = 12
 def even_light_reflectance(model: Model, p: FloatArray, w_r: FloatArray) -> FloatArray:
     """Hemispherical-directional reflectance for directions (n, 3), frame of the sample.
 
-    Interpolated in a table over theta, and over phi where the model depends on it: room light is
-    never known to better than that.
+    Interpolated in a table over theta, and over phi if the model depends on it; room light is not
+    known more accurately.
     """
     theta = np.radians(_NODES_DEG)
     phi = np.arange(1 if model.claims.isotropic else _N_AZIMUTHS) * 2 * np.pi / _N_AZIMUTHS

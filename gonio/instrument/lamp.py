@@ -14,8 +14,8 @@ class Lamp(Part):
 
     white_rate_e_per_s: float = Field(
         gt=0,
-        description="photo-electrons a second in one pixel on the axis that sees a perfect white "
-        "surface lit at normal incidence, if the dome lost nothing",
+        description="photo-electrons per second in one pixel on the axis that views a perfect "
+        "white surface lit at normal incidence, for a dome without losses",
     )
     half_angle_deg: float = Field(ge=0, le=5, description="half-angle of the source cone")
     lit_diameter_mm: float = Field(gt=0, description="diameter of the beam")
@@ -24,13 +24,13 @@ class Lamp(Part):
         default=0.0,
         ge=0,
         le=0.05,
-        description="relative sd by which the output wanders from one incidence to the next",
+        description="relative sd of the slow drift of the output from one incidence to the next",
     )
     edge_falloff: float = Field(
         default=0.0,
         ge=0,
         lt=1,
-        description="loss of irradiance from the middle of the beam to its edge, as radius^2",
+        description="loss of irradiance from the centre of the beam to its edge, as radius^2",
     )
 
     def directions(self, theta_i: float, offsets: FloatArray) -> FloatArray:

@@ -16,9 +16,10 @@ class Lens(Part):
     """A fisheye that looks along +z; its image has x to the right and y down, as the frame has."""
 
     projection: Literal["equidistant", "equisolid", "kannala_brandt"] = Field(
-        default="equidistant", description="r = f theta, r = 2 f sin(theta/2), or with k"
+        default="equidistant",
+        description="projection: r = f theta, r = 2 f sin(theta/2), or with coefficients k",
     )
-    focal_length_mm: float = Field(gt=0, description="f of the projection")
+    focal_length_mm: float = Field(gt=0, description="focal length f of the projection")
     k: tuple[float, float, float, float] = Field(
         default=(0.0, 0.0, 0.0, 0.0),
         description="kannala_brandt: r = f theta (1 + k1 theta^2 + k2 theta^4 + ...)",
@@ -36,18 +37,19 @@ class Lens(Part):
         description="sd of the Gaussian point spread on each axis, unbinned pixels",
     )
     pupil_offset_mm: tuple[float, float, float] = Field(
-        default=(0.0, 0.0, 0.0), description="entrance pupil from its nominal place (0, -D, 0)"
+        default=(0.0, 0.0, 0.0),
+        description="offset of the entrance pupil from its nominal position (0, -D, 0)",
     )
     pupil_walk_mm: float = Field(
         default=0.0, description="rise of the entrance pupil at 90 deg, as (theta/90 deg)^2"
     )
     azimuth_deg: float = Field(
-        default=0.0, description="turn of the camera about the normal, counter-clockwise"
+        default=0.0, description="counter-clockwise rotation of the camera about the normal"
     )
     alignment_known: bool = Field(
         default=False,
-        description="whether the session states pupil, azimuth and image centre as they are; if "
-        "not, it states their nominal values",
+        description="whether the session states the true pupil, azimuth and image centre; if not, "
+        "it states their nominal values",
     )
 
     def radius(self, theta: ArrayLike) -> FloatArray:

@@ -1,6 +1,7 @@
 """A plane mirror in place of the sample: sharp images of the lamp at known directions.
 
-What an alignment calibration looks at: the centroid of the spot tells where the pixels look.
+An alignment calibration uses them: the centroid of a spot gives the viewing direction of the
+pixels.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
     from gonio.instrument import Instrument
 
 REFLECTANCE = 0.9
-_RAYS = 2048  # a pixel, where the spot may lie: its centroid is good to some 0.003 pixels
+_RAYS = 2048  # per pixel where the spot may lie; the centroid is then accurate to 0.003 pixels
 _BLOCK = 16
 
 
 def brightest_rate(instrument: Instrument, rays: imaging.Rays) -> float:
-    """Photo-electrons a second in a pixel that sees nothing but the lamp's source, at most."""
+    """Largest number of photo-electrons per second in a pixel filled by the source."""
     return float(imaging.white_rate(instrument, rays).max()) * _over_white(instrument)
 
 
@@ -40,7 +41,7 @@ def spot_rate(
     psi: float,
     seed: int,
 ) -> FloatArray:
-    """Photo-electrons a second, shape (n,), from a mirror that shows the lamp's source.
+    """Photo-electrons per second, shape (n,), from a mirror that reflects the source of the lamp.
 
     A ray counts where its mirrored direction falls into the source's cone and where it lands on
     lit mirror. Radiance is that of the source times the mirror's reflectance, whatever the angle.
@@ -65,7 +66,7 @@ def spot_rate(
     """
     over_white = _over_white(instrument)
     rate = np.zeros(len(rays.pixel))
-    # A pixel of which one ray comes near the source is looked at with many.
+    # A pixel with one ray near the source is traced again with many rays.
     near = np.radians(instrument.lamp.half_angle_deg) + _extent(instrument)
     first = _mirrored(instrument, rays.w_r[:, 0], wedge, psi)
     close = np.flatnonzero(first @ unit_vectors(theta_i, 0.0) > np.cos(min(near, np.pi)))
@@ -109,7 +110,7 @@ def _share_of_source(
     psi: float,
     seed: int,
 ) -> FloatArray:
-    """Mean of U over the rays of some pixels, those that miss the source or the mirror being 0."""
+    """Mean of U over the rays of some pixels; 0 for rays that miss source or mirror."""
     sensor, lamp, holder = instrument.sensor, instrument.lamp, instrument.holder
     in_pixel, in_pupil = _dense_pattern()
     x, y = sensor.positions_mm()
@@ -137,7 +138,7 @@ def _mirrored(instrument: Instrument, w_r: FloatArray, wedge: float, psi: float)
 
 @cache
 def _dense_pattern() -> tuple[FloatArray, FloatArray]:
-    """Places in a pixel (side 1) and in a pupil (radius 1), evenly spread."""
+    """Positions in a pixel (side 1) and in a pupil (radius 1), evenly distributed."""
     points = qmc.Sobol(4, scramble=True, rng=21).random(_RAYS)
     radius, angle = np.sqrt(points[:, 2]), 2 * np.pi * points[:, 3]
     return points[:, :2] - 0.5, np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)

@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 from gonio.geometry import FloatArray
 from gonio.kernels.threads import map_blocks
 
-BLOCK = 1024  # pixels worked on at a time: their numbers stay in the processor's first cache
+BLOCK = 1024  # pixels per block: their numbers stay in the first-level cache
 _HALF = BLOCK // 2
-_TASK = 32 * BLOCK  # pixels given to a thread at a time
+_TASK = 32 * BLOCK  # pixels per task of a thread
 
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
@@ -152,7 +152,7 @@ def _bright(mean, g, electrons):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _dim(mean, a, b, table, row, rest, number, electrons):  # type: ignore[no-untyped-def]
-    """Poisson numbers of small means, in place of those that stand in `electrons` for them."""
+    """Poisson numbers of small means, which replace the values of these pixels in `electrons`."""
     for k in range(BLOCK):
         m = mean[k] if mean[k] < F(_BRIGHT) else F(0)
         r = np.int32(m * F(1 / _STEP))
@@ -283,7 +283,7 @@ def _alias_table() -> NDArray[np.uint32]:
             if share[giver] < 1:
                 poor.append(rich.pop())
         kept = np.array([int(min(s * 2**24, 2**24 - 1)) for s in share], np.uint32)
-        # What rounding leaves over takes its own number, which then is its alias too.
+        # Entries left over by rounding keep their own number, which is also their alias.
         for n in (*poor, *rich):
             alias[n] = n
         table[row] = (kept << 8) | np.array(alias, np.uint32)
@@ -316,7 +316,7 @@ def expose(
     dark_e_per_s : float
         Added to the rate of every pixel.
     full_well_e, gain_dn_per_e, noise_dn, black_dn, saturation_dn
-        Figures of the (binned) pixel; the read noise is in counts, after the response.
+        Properties of the (binned) pixel; the read noise is in counts, after the response.
     seed, frame : int
         Key of the generator (64 bits) and number of the frame (32 bits): one pair, one frame.
     gamma : float

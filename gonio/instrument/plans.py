@@ -1,4 +1,4 @@
-"""Plans that an instrument is given where nobody states one: reflection, transmission, a mirror."""
+"""Default plans of an instrument: reflection, transmission, a mirror."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from gonio.models import Model
 
 N_INCIDENCES = 21  # as the paper: "measured at 21 incident angles" (Ward 1992, section 4.2)
 ANISOTROPIC_ROTATIONS_DEG = (0.0, 45.0, 90.0)
-STANDARD_AT_DEG = 45.0  # in transmission: off the way of light that goes straight through
+STANDARD_AT_DEG = 45.0  # in transmission, away from directly transmitted light
 MIRROR_STEP_DEG = 15.0
 WEDGE_ROTATIONS_DEG = tuple(45.0 * k for k in range(8))
-_SPOT_SHARE = 0.6  # of the counts' range that the brightest pixel of a mirror's image takes
+_SPOT_SHARE = 0.6  # of the range of counts, for the brightest pixel of a mirror image
 Values = float | Sequence[float]
 
 
 def default_plan(instrument: Instrument, *, anisotropic: bool) -> Plan:
-    """21 incidence angles from 0 to the arm's reach; three rotations where phi_i matters."""
+    """21 incidence angles from 0 to the limit of the arm; three rotations if anisotropic."""
     from gonio.instrument.records import channels
 
     angles = np.linspace(0, instrument.theta_i_max_deg, N_INCIDENCES)
@@ -45,10 +45,10 @@ def transmission_plan(
 
 
 def mirror_plan(instrument: Instrument, *, wedge_deg: float = 0.0) -> Plan:
-    """What an alignment needs: a mirror, the lamp on both sides, exposures that do not saturate.
+    """The plan for an alignment: a mirror, the lamp on both sides, exposures without saturation.
 
-    A level mirror shows the lamp in its own plane only; a wedge of some degrees, turned with the
-    holder, spreads the spots over the dome.
+    A level mirror reflects the lamp only within the plane of the arm. A wedge of some degrees,
+    rotated with the holder, distributes the spots over the dome.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def mirror_plan(instrument: Instrument, *, wedge_deg: float = 0.0) -> Plan:
 
     steps = int(instrument.theta_i_max_deg // MIRROR_STEP_DEG)
     sensor = instrument.sensor
-    # One ray a pixel tells how bright a pixel can be at most.
+    # One ray per pixel gives the largest possible signal of a pixel.
     coarse = instrument.model_copy(update={"rays_per_pixel": 1})
     rate = mirror.brightest_rate(coarse, imaging.trace_rays(coarse, 0))
     rate *= max(channel.relative_rate for channel in instrument.channels)
@@ -79,15 +79,15 @@ def mirror_plan(instrument: Instrument, *, wedge_deg: float = 0.0) -> Plan:
 
 
 def is_anisotropic(model: Model, parameters: Mapping[str, Values]) -> bool:
-    """Whether turning the surface about its normal changes what it reflects.
+    """Whether the reflection depends on the rotation of the surface about its normal.
 
-    Not where the model claims so, nor where alpha_x = alpha_y.
+    False if the model claims isotropy, or if alpha_x = alpha_y.
 
     Parameters
     ----------
     model : Model
     parameters : mapping
-        All of its parameters, with one value or one a channel.
+        All parameters of the model, with one value or one per channel.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What the operator of an instrument knows of it, and so what a session's metadata may say."""
+"""Metadata of a session: what the operator of an instrument knows about it."""
 
 from __future__ import annotations
 
@@ -17,66 +17,66 @@ from gonio.metadata import (
 )
 
 
-def metadata(rig: Instrument, plan: Plan, sample: str, fingerprint: str) -> Metadata:
-    """Metadata of a session on a virtual instrument: its data sheets, not its chance.
+def metadata(instrument: Instrument, plan: Plan, sample: str, fingerprint: str) -> Metadata:
+    """Metadata of a session on a virtual instrument: its data sheets, without its random errors.
 
     Parameters
     ----------
-    rig : Instrument
+    instrument : Instrument
     plan : Plan
     sample : str
         Name of the sample.
     fingerprint : str
-        Hash of what makes the session.
+        Hash of all inputs of the session.
     """
     return Metadata(
         schema=SCHEMA,
-        instrument=rig.name,
+        instrument=instrument.name,
         sample=sample,
-        geometry=_geometry(rig),
-        lens=_lens(rig),
-        camera=_camera(rig),
-        standard=_certificate(rig),
-        lamp=_lamp(rig, plan),
-        limits=_limits(rig),
+        geometry=_geometry(instrument),
+        lens=_lens(instrument),
+        camera=_camera(instrument),
+        standard=_certificate(instrument),
+        lamp=_lamp(instrument, plan),
+        limits=_limits(instrument),
         plan=plan,
         fingerprint=fingerprint,
     )
 
 
-def channels(rig: Instrument) -> tuple[Channel, ...]:
+def channels(instrument: Instrument) -> tuple[Channel, ...]:
     """The channels of a session: names and wavelengths of the filters."""
-    return tuple(Channel(name=f.name, wavelength_nm=f.wavelength_nm) for f in rig.channels)
+    return tuple(Channel(name=f.name, wavelength_nm=f.wavelength_nm) for f in instrument.channels)
 
 
-def irradiance_uncertainty(rig: Instrument, plan: Plan) -> float | None:
-    """What the irradiance at another incidence than the standard's is known to; None if alike.
+def irradiance_uncertainty(instrument: Instrument, plan: Plan) -> float | None:
+    """Relative uncertainty of the irradiance at an incidence without standard; None if not needed.
 
-    The cosine is known; the dome's transmittance where the beam enters varies, at both places in
-    reflection and at the standard's alone in transmission.
+    The cosine is known. The transmittance of the dome varies with the point where the beam enters:
+    at both incidences in reflection, only at that of the standard in transmission.
     """
     if plan.standard_theta_i_deg is None:
         return None
-    places = 1 if plan.mode == "transmission" else 2
-    return float(rig.dome.transmittance_variation * places**0.5)
+    n_crossings = 1 if plan.mode == "transmission" else 2
+    return float(instrument.dome.transmittance_variation * n_crossings**0.5)
 
 
-def _geometry(rig: Instrument) -> Geometry:
-    lens, dome = rig.lens, rig.dome
-    known = lens.alignment_known
+def _geometry(instrument: Instrument) -> Geometry:
+    lens, dome = instrument.lens, instrument.dome
+    alignment_known = lens.alignment_known
     return Geometry(
         shape=dome.shape,
         R=dome.R,
         D=dome.D,
-        usable_theta_r_deg=rig.usable_theta_r_deg,
-        pupil_mm=lens.pupil_offset_mm if known else (0.0, 0.0, 0.0),
-        pupil_walk_mm=lens.pupil_walk_mm if known else 0.0,
-        camera_azimuth_deg=lens.azimuth_deg if known else 0.0,
+        usable_theta_r_deg=instrument.usable_theta_r_deg,
+        pupil_mm=lens.pupil_offset_mm if alignment_known else (0.0, 0.0, 0.0),
+        pupil_walk_mm=lens.pupil_walk_mm if alignment_known else 0.0,
+        camera_azimuth_deg=lens.azimuth_deg if alignment_known else 0.0,
     )
 
 
-def _lens(rig: Instrument) -> LensCalibration:
-    lens, sensor = rig.lens, rig.sensor
+def _lens(instrument: Instrument) -> LensCalibration:
+    lens, sensor = instrument.lens, instrument.sensor
     moved = lens.alignment_known and any(sensor.centre_offset_px)
     return LensCalibration(
         projection=lens.projection,
@@ -87,8 +87,8 @@ def _lens(rig: Instrument) -> LensCalibration:
     )
 
 
-def _camera(rig: Instrument) -> Camera:
-    sensor = rig.sensor
+def _camera(instrument: Instrument) -> Camera:
+    sensor = instrument.sensor
     rows, columns = sensor.shape
     pitch_x, pitch_y = (p * 1e-3 * sensor.binning for p in sensor.pitch_um)
     return Camera(
@@ -105,8 +105,8 @@ def _camera(rig: Instrument) -> Camera:
     )
 
 
-def _certificate(rig: Instrument) -> Certificate:
-    standard = rig.standard
+def _certificate(instrument: Instrument) -> Certificate:
+    standard = instrument.standard
     return Certificate(
         reflectance=standard.reflectance,
         uncertainty=standard.uncertainty,
@@ -115,9 +115,9 @@ def _certificate(rig: Instrument) -> Certificate:
     )
 
 
-def _lamp(rig: Instrument, plan: Plan) -> LampRecord:
-    """The operator sees by how much the output changes until the same incidence comes again."""
-    lamp = rig.lamp
+def _lamp(instrument: Instrument, plan: Plan) -> LampRecord:
+    """The operator measures the change of the output between images of the same incidence."""
+    lamp = instrument.lamp
     wandered = lamp.slow_drift * len(plan.theta_i_deg) ** 0.5
     return LampRecord(
         half_angle_deg=lamp.half_angle_deg,
@@ -125,15 +125,15 @@ def _lamp(rig: Instrument, plan: Plan) -> LampRecord:
     )
 
 
-def _limits(rig: Instrument) -> Limits:
-    share = rig.surroundings.multibounce_uncertainty
+def _limits(instrument: Instrument) -> Limits:
+    share = instrument.surroundings.multibounce_uncertainty
     return Limits(
-        slope_error_deg=rig.dome.slope_error_deg,
-        rim_slope_error_deg=rig.dome.rim_slope_error_deg,
-        slope_correlation_deg=rig.dome.slope_correlation_deg,
-        multibounce=rig.surroundings.multibounce,
-        u_multibounce=None if share is None else share * rig.surroundings.multibounce,
-        transmittance=rig.dome.transmittance,
-        ambient=rig.surroundings.ambient_reflected,
-        u_azimuth_deg=rig.holder.u_azimuth_deg,
+        slope_error_deg=instrument.dome.slope_error_deg,
+        rim_slope_error_deg=instrument.dome.rim_slope_error_deg,
+        slope_correlation_deg=instrument.dome.slope_correlation_deg,
+        multibounce=instrument.surroundings.multibounce,
+        u_multibounce=None if share is None else share * instrument.surroundings.multibounce,
+        transmittance=instrument.dome.transmittance,
+        ambient=instrument.surroundings.ambient_reflected,
+        u_azimuth_deg=instrument.holder.u_azimuth_deg,
     )

@@ -1,10 +1,10 @@
-"""What an instrument can see: blur and coverage of every direction, smallest roughness.
+"""Resolution of an instrument: blur and coverage of every direction, smallest roughness.
 
 Bundles of rays are traced from a grid over the lens's field through the same stages as in
-`imaging`; the blur is their second moments, so that no formula of optics stands here. It holds what
-spreads the directions of one pixel: its area, the pupil with focus and the dome's aberrations, the
-point spread and the source cone. Slope errors of the dome are correlated over far
-more than a pixel sees of it: they move directions and do not spread them. They are reported apart.
+`imaging`. The blur is their second moments; no optical formula is needed. It includes what spreads
+the directions of one pixel: its area, the pupil with focus and aberrations of the dome, the point
+spread and the source cone. Slope errors of the dome are correlated over distances much larger than
+the footprint of a pixel: they shift directions and do not blur them. They are reported separately.
 (They change a pixel's width by about 2 sd/correlation: 2 % at 0.1 deg and 10 deg.)
 """
 
@@ -21,14 +21,14 @@ from gonio.instrument import Instrument
 from gonio.instrument.imaging import Rays, lit_weights, ray_pattern, trace_points
 from gonio.kernels.threads import map_blocks
 
-EXCESS = 0.05  # by which the blur widens the smallest alpha
-WHOLE = 0.99  # share of a pixel's rays on lit sample from which nothing is lost
+EXCESS = 0.05  # relative widening of the smallest alpha by the blur
+WHOLE = 0.99  # share of a pixel's rays on lit sample that counts as all
 RAYS = 32
 STEP_DEG = 0.25  # of the grid, in the lens's polar angle
 SHOWN_THETA_I_DEG = (0.0, 60.0)
 _SECTORS = 36
-_NEAR_DEG = 2.0  # a direction with no ray so close is not visible
-_BLOCK = 2048  # bundles worked on at a time: some ten MB
+_NEAR_DEG = 2.0  # a direction without a ray this close is not visible
+_BLOCK = 2048  # bundles per block of work: some ten MB
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Resolution:
 
     @property
     def residual(self) -> FloatArray:
-        """The blur that a fit to reduced samples is left with, shape (T, P, 2, 2), rad^2.
+        """The blur that remains in a fit to reduced samples, shape (T, P, 2, 2), rad^2.
 
         The cells of the reduction integrate over pixel and source cone.
         """
@@ -149,7 +149,7 @@ def resolve(
         Step of the grid in the lens's polar angle, degrees; ten times that, and at most
         10/3 deg, in azimuth.
     threads : int, optional
-        The result does not depend on it.
+        Number of worker threads; the result does not depend on it.
 
     Examples
     --------
@@ -158,26 +158,26 @@ def resolve(
     >>> round(float(np.degrees(resolution.reach(WHOLE).min())))
     88
     """
-    rig = _without_slope_errors(instrument)
-    edge_deg = rig.lens.field_deg / 2
+    unperturbed = _without_slope_errors(instrument)
+    edge_deg = unperturbed.lens.field_deg / 2
     theta = np.radians(np.linspace(0, edge_deg, int(np.ceil(edge_deg / step_deg)) + 1))
     n_phi = max(3 * _SECTORS, int(np.ceil(36 / step_deg)))
     phi = np.arange(n_phi) * 2 * np.pi / n_phi
-    radius = rig.lens.radius(theta)[:, None, None]
-    places = radius * np.stack([np.cos(phi), np.sin(phi)], -1)
-    pitch = np.array(rig.sensor.pitch_um) * 1e-3 * rig.sensor.binning
+    radius = unperturbed.lens.radius(theta)[:, None, None]
+    points = radius * np.stack([np.cos(phi), np.sin(phi)], -1)
+    pitch = np.array(unperturbed.sensor.pitch_um) * 1e-3 * unperturbed.sensor.binning
     in_pixel, in_pupil, _ = ray_pattern(rays)
     none = np.zeros_like(in_pupil)
 
     def moments(pixel: FloatArray, pupil: FloatArray, *, lit: bool) -> list[FloatArray]:
-        return _moments(rig, places, pixel * pitch, pupil, lit=lit, threads=threads)
+        return _moments(unperturbed, points, pixel * pitch, pupil, lit=lit, threads=threads)
 
     w_r, share, optics = moments(in_pixel, in_pupil, lit=True)
     pixel = moments(in_pixel, none, lit=False)[2]
     pupil = moments(none, in_pupil, lit=True)[2]
     # A pixel is a square of variance 1/12 on both axes, the point spread a Gaussian of psf^2.
-    psf = pixel * 12 * (rig.lens.psf_px / rig.sensor.binning) ** 2
-    share = np.where(_in_frame(rig, places), share, 0.0)
+    psf = pixel * 12 * (unperturbed.lens.psf_px / unperturbed.sensor.binning) ** 2
+    share = np.where(_in_frame(unperturbed, points), share, 0.0)
     blank = np.where(share > 0, 1.0, np.nan)[..., None, None]
     return Resolution(
         instrument=instrument,
@@ -187,7 +187,7 @@ def resolve(
         pixel=pixel * blank,
         pupil=pupil * blank,
         psf=psf * blank,
-        source=float(np.radians(rig.lamp.half_angle_deg) / 2) ** 2,
+        source=float(np.radians(unperturbed.lamp.half_angle_deg) / 2) ** 2,
     )
 
 
@@ -196,20 +196,20 @@ def _without_slope_errors(instrument: Instrument) -> Instrument:
     return instrument.model_copy(update={"dome": instrument.dome.model_copy(update=smooth)})
 
 
-def _in_frame(instrument: Instrument, places: FloatArray) -> NDArray[np.bool_]:
+def _in_frame(instrument: Instrument, points: FloatArray) -> NDArray[np.bool_]:
     """Whether points (..., 2) of the image, mm from the lens axis, lie on the sensor."""
-    inside = np.ones(places.shape[:-1], bool)
+    inside = np.ones(points.shape[:-1], bool)
     for axis, centres in enumerate(instrument.sensor.positions_mm()):
         half = instrument.sensor.pitch_um[axis] * 1e-3 * instrument.sensor.binning / 2
-        inside &= (places[..., axis] >= centres[0] - half) & (
-            places[..., axis] <= centres[-1] + half
+        inside &= (points[..., axis] >= centres[0] - half) & (
+            points[..., axis] <= centres[-1] + half
         )
     return np.asarray(inside)
 
 
 def _moments(
-    rig: Instrument,
-    places: FloatArray,
+    instrument: Instrument,
+    points: FloatArray,
     in_pixel: FloatArray,
     in_pupil: FloatArray,
     *,
@@ -220,36 +220,36 @@ def _moments(
 
     Parameters
     ----------
-    places : ndarray, shape (..., 2)
+    points : ndarray, shape (..., 2)
         Chief rays on the sensor, mm from the lens axis.
     in_pixel, in_pupil : ndarray, shape (rays, 2)
-        Offsets from them, mm, and places in the pupil, unit disc.
+        Offsets from them, mm, and positions in the pupil, unit disc.
     lit : bool
-        Take the rays that land on lit sample; where there are none, and if false, all.
+        Use the rays that land on the lit sample; use all rays if there are none, or if false.
     """
-    flat = places.reshape(-1, 2)
+    flat = points.reshape(-1, 2)
     n = len(flat)
     mean, share, tensor = np.empty((n, 3)), np.empty(n), np.empty((n, 2, 2))
 
     def work(start: int, stop: int) -> None:
         points = flat[start:stop, None, :] + in_pixel
-        _, w, at = trace_points(rig, points, in_pupil, 0)
-        weights = _lit(rig, w, at) if lit else np.full(w.shape[:2], 1 / w.shape[1])
+        _, w, at = trace_points(instrument, points, in_pupil, 0)
+        weights = _lit(instrument, w, at) if lit else np.full(w.shape[:2], 1 / w.shape[1])
         share[start:stop] = np.mean(weights > 0, axis=1)
         weights[share[start:stop] == 0] = 1.0
         weights /= weights.sum(axis=1, keepdims=True)
         mean[start:stop], tensor[start:stop] = _weighted(w, weights)
 
     map_blocks(work, n, threads=threads, block=_BLOCK)
-    shape = places.shape[:-1]
+    shape = points.shape[:-1]
     return [mean.reshape(*shape, 3), share.reshape(shape), tensor.reshape(*shape, 2, 2)]
 
 
-def _lit(rig: Instrument, w_r: FloatArray, landing: FloatArray) -> FloatArray:
+def _lit(instrument: Instrument, w_r: FloatArray, landing: FloatArray) -> FloatArray:
     """Weights (n, rays) of rays by what is lit where they land, lamp at normal incidence."""
     none, reach = np.empty(0), np.hypot(landing[..., 0], landing[..., 1]).max(axis=1)
     rays = Rays(none.astype(np.int64), none, w_r, landing, none, 0.0, reach, none)
-    return lit_weights(rig, rays, 0.0)
+    return lit_weights(instrument, rays, 0.0)
 
 
 def _weighted(w: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -278,7 +278,7 @@ def principal(tensor: FloatArray) -> FloatArray:
 
 
 def effective_alpha(alpha: float, sd: float, cosine: float = 1.0) -> float:
-    """Width of a lobe that is visible blurred.
+    """Apparent width of a blurred lobe.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def effective_alpha(alpha: float, sd: float, cosine: float = 1.0) -> float:
 
 
 def smallest_alpha(sd: float, cosine: float = 1.0, excess: float = EXCESS) -> float:
-    """The width that blur raises by the share `excess`: `effective_alpha` the other way round."""
+    """The width that blur increases by the fraction `excess`: the inverse of `effective_alpha`."""
     return float(sd / (cosine * np.sqrt(2 * ((1 + excess) ** 2 - 1))))
 
 
@@ -333,22 +333,24 @@ def report(resolution: Resolution) -> dict[str, Any]:
         deviations by cause, median and largest over what is visible of the usable hemisphere.
         `pointing_sd_deg`: slope errors of the dome. `theta_r`, `theta_i`: what is visible.
     """
-    rig = resolution.instrument
+    instrument = resolution.instrument
     return {
         "schema": "gonio.resolution/1",
-        "instrument": rig.name,
+        "instrument": instrument.name,
         "excess": EXCESS,
         "alpha": [_alpha_at(resolution, theta) for theta in SHOWN_THETA_I_DEG],
         "blur_deg": {
             name: _over_hemisphere(resolution, t) for name, t in _causes(resolution).items()
         },
         "pointing_sd_deg": {
-            "zenith": _degrees(pointing_sd(rig, 0.0)),
-            "usable_rim": _degrees(pointing_sd(rig, np.radians(rig.usable_theta_r_deg))),
+            "zenith": _degrees(pointing_sd(instrument, 0.0)),
+            "usable_rim": _degrees(
+                pointing_sd(instrument, np.radians(instrument.usable_theta_r_deg))
+            ),
         },
         "theta_r": _coverage(resolution),
         "theta_i": {
-            "arm_max_deg": rig.theta_i_max_deg,
+            "arm_max_deg": instrument.theta_i_max_deg,
             "specular_seen_max_deg": _specular_max_deg(resolution),
         },
     }
@@ -392,7 +394,7 @@ def median(values: FloatArray, weight: FloatArray) -> float:
 
 
 def _alpha_at(resolution: Resolution, theta_i_deg: float) -> dict[str, Any]:
-    """Smallest alpha in and across the plane of incidence, where a mirror would send the light."""
+    """Smallest alpha in and across the plane of incidence, at the specular direction."""
     theta = np.radians(theta_i_deg)
     visible = theta_i_deg <= resolution.instrument.theta_i_max_deg
     blur = resolution.at(resolution.blur, theta, np.pi) if visible else None
@@ -400,20 +402,20 @@ def _alpha_at(resolution: Resolution, theta_i_deg: float) -> dict[str, Any]:
     axes: dict[str, Any] = {"in_plane": None, "across": None}
     if blur is not None and left is not None:
         for axis, (name, cosine) in enumerate({"in_plane": 1.0, "across": np.cos(theta)}.items()):
-            sd, rest = float(np.sqrt(blur[axis, axis])), float(np.sqrt(left[axis, axis]))
+            sd, remaining = float(np.sqrt(blur[axis, axis])), float(np.sqrt(left[axis, axis]))
             alpha = smallest_alpha(sd, cosine)
-            excess = effective_alpha(alpha, rest, cosine) / alpha - 1 if alpha else 0.0
+            excess = effective_alpha(alpha, remaining, cosine) / alpha - 1 if alpha else 0.0
             axes[name] = {"alpha": alpha, "blur_deg": _degrees(sd), "excess_reduced": excess}
     return {"theta_i_deg": theta_i_deg, **axes}
 
 
 def _coverage(resolution: Resolution) -> dict[str, Any]:
     """How far all azimuths, and the best, are visible; shares of the hemisphere's solid angle."""
-    rig, area = resolution.instrument, resolution.solid_angle
-    limit = np.radians(rig.usable_theta_r_deg)
+    instrument, area = resolution.instrument, resolution.solid_angle
+    limit = np.radians(instrument.usable_theta_r_deg)
     parts: dict[str, Any] = {
-        "lens_field_deg": rig.lens.field_deg,
-        "rim_mask_deg": rig.usable_theta_r_deg,
+        "lens_field_deg": instrument.lens.field_deg,
+        "rim_mask_deg": instrument.usable_theta_r_deg,
     }
     smallest = np.nextafter(0, 1)
     for name, least, rim in (
@@ -441,8 +443,8 @@ def _specular_max_deg(resolution: Resolution) -> float | None:
     """
     middle = _SECTORS // 2
     dome = float(np.degrees(resolution.reach(np.nextafter(0, 1))[middle - 1 : middle + 1].min()))
-    rig = resolution.instrument
-    reach = min(rig.theta_i_max_deg, rig.usable_theta_r_deg, dome)
+    instrument = resolution.instrument
+    reach = min(instrument.theta_i_max_deg, instrument.usable_theta_r_deg, dome)
     return round(reach, 6) if reach > 0 else None
 
 

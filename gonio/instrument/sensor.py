@@ -1,8 +1,8 @@
-"""The sensor: photo-electrons to counts, in the order in which a camera does it.
+"""The sensor: photo-electrons to counts, in the order of a camera.
 
 photo-electrons -> PRNU, dead pixels -> dark current of every pixel -> shot noise -> full well ->
-response -> gain -> read noise -> black level -> ADC -> clip. Binned pixels are summed after the
-ADC, as a computer sums them. This file holds the properties and the fixed patterns of a camera; the
+response -> gain -> read noise -> black level -> ADC -> clip. Pixels of a bin are summed after the
+ADC, as software does. This file holds the properties and the fixed patterns of a camera; the
 noise is drawn in `noise.py`.
 """
 
@@ -35,9 +35,9 @@ class Sensor(Part):
         default=1, ge=1, description="side of the block of pixels whose counts are summed"
     )
     binned_divisor: int = Field(
-        default=1, ge=1, description="the sum is divided by it, so that many bits fit into 16"
+        default=1, ge=1, description="divisor of the sum, so that it fits into 16 bits"
     )
-    full_well_e: float = Field(gt=0, description="electrons at which a pixel is full")
+    full_well_e: float = Field(gt=0, description="full well of a pixel")
     read_noise_e: float = Field(ge=0, description="sd of the read noise")
     dark_e_per_s: float = Field(ge=0, description="mean dark current")
     dsnu_e_per_s: float = Field(
@@ -45,7 +45,7 @@ class Sensor(Part):
     )
     prnu: float = Field(ge=0, lt=0.5, description="relative sd of the pixels' response")
     dead_fraction: float = Field(
-        default=0.0, ge=0, le=0.1, description="share of pixels that never see anything"
+        default=0.0, ge=0, le=0.1, description="share of pixels without any response"
     )
     hot_fraction: float = Field(
         default=0.0, ge=0, le=0.1, description="share of pixels with a large dark current"
@@ -54,15 +54,17 @@ class Sensor(Part):
         default=0.0, ge=0, description="mean dark current of hot pixels on top of the others'"
     )
     bits: int = Field(ge=8, le=16, description="bits of the converter")
-    gain_dn_per_e: float = Field(gt=0, description="counts for an electron")
+    gain_dn_per_e: float = Field(gt=0, description="gain: counts per electron")
     gamma: float = Field(
         default=1.0,
         gt=0.2,
         le=2,
         description="response: counts above black are gain full_well (e-/full_well)^gamma",
     )
-    black_dn: float = Field(ge=0, description="count without light")
-    exposures_s: tuple[float, ...] = Field(min_length=1, description="exposure times, growing")
+    black_dn: float = Field(ge=0, description="black level: counts without light")
+    exposures_s: tuple[float, ...] = Field(
+        min_length=1, description="exposure times, in increasing order"
+    )
 
     @model_validator(mode="after")
     def _possible(self) -> Sensor:
@@ -127,7 +129,7 @@ class Sensor(Part):
         return sum_dn / self.binned_divisor
 
     def readout(self) -> dict[str, Any]:
-        """How a binned pixel turns electrons into counts, as `noise.expose` takes it."""
+        """Properties of a binned pixel for the conversion to counts: arguments of `noise.expose`."""
         return {
             "full_well_e": self.binned_full_well_e,
             "gain_dn_per_e": self.binned_gain_dn_per_e,

@@ -1,4 +1,4 @@
-"""The white standard: what its certificate says and what it is."""
+"""The white standard: its certificate and its true properties."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ class Standard(Part):
     """A diffuse standard with f(theta_r) = reflectance/pi (1 - rolloff (theta_r/75 deg)^4)."""
 
     reflectance: float = Field(gt=0, le=1, description="certified reflectance")
-    uncertainty: float = Field(ge=0, lt=0.5, description="relative standard uncertainty of it")
+    uncertainty: float = Field(
+        ge=0, lt=0.5, description="relative standard uncertainty of the reflectance"
+    )
     rolloff: float = Field(
         default=0.0,
         ge=0,
@@ -28,7 +30,10 @@ class Standard(Part):
     )
 
     rolloff_uncertainty: float = Field(
-        default=0.0, ge=0, lt=0.4, description="standard uncertainty of what is taken for rolloff"
+        default=0.0,
+        ge=0,
+        lt=0.4,
+        description="standard uncertainty of the rolloff that the reduction uses",
     )
 
     def brdf(self, theta_r: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What the camera sees besides the lamp's light from the sample's first reflection."""
+"""Light at the camera other than the first reflection of the lamp's light by the sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gonio.instrument.part import Part
 
 
 class Surroundings(Part):
-    """Stray light, the lamp's entry patch, ambient light and light that goes round twice."""
+    """Stray light, the entry patch of the lamp, ambient light and multiple reflections."""
 
     stray: float = Field(
         default=0.0,
@@ -17,10 +17,12 @@ class Surroundings(Part):
         "standard at normal incidence",
     )
     entry_patch: float = Field(
-        default=0.0, ge=0, description="the same inside the patch of the dome where the beam enters"
+        default=0.0,
+        ge=0,
+        description="the same, inside the patch of the dome where the beam enters",
     )
     ambient: float = Field(
-        default=0.0, ge=0, description="room light, same unit; it does not drift"
+        default=0.0, ge=0, description="room light, in the same unit; it does not drift"
     )
     ambient_reflected: float = Field(
         default=0.0,
@@ -32,13 +34,13 @@ class Surroundings(Part):
         default=0.0,
         ge=0,
         lt=0.5,
-        description="g: the irradiance of the sample grows by 1 + g albedo, "
-        "light thrown back by the lens front and the dome",
+        description="g: the irradiance of the sample increases by the factor 1 + g albedo, by "
+        "light that the lens front and the dome reflect back",
     )
     multibounce_uncertainty: float | None = Field(
         default=None,
         ge=0,
         lt=0.5,
-        description="relative standard uncertainty of g, the true one is drawn; not given, the "
-        "operator has no measure of it and the reduction does not correct",
+        description="relative standard uncertainty of g; the true value is drawn. Without it, g is "
+        "unknown to the operator and the reduction does not correct for it",
     )

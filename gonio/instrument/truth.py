@@ -1,4 +1,4 @@
-"""What the simulator knows by the pixel, beside the frames: for comparison, never for calibration.
+"""True values of each pixel of a simulated session: for comparison, never for calibration.
 
 `truth/images.zarr` holds
 
@@ -24,9 +24,9 @@ from gonio.instrument import imaging
 from gonio.instrument.images import Images
 from gonio.metadata import Plan
 
-SHARE = 0.2  # of the frames' space that the images may take where nobody asked for them
-# Bytes of what is written here over those of one frame, compressed: an image of f, a map of
-# weights, and the maps of the instrument together.
+SHARE = 0.2  # of the space of the frames that the images may take by default
+# Bytes relative to one compressed frame: an image of f, a map of weights, and all maps of the
+# instrument.
 _BRDF, _WEIGHT, _MAPS = 0.5, 0.3, 3.0
 _DROPPED_BITS = 10  # of the 24 of a float32's significand
 
@@ -56,35 +56,35 @@ class TruthImages:
         self._brdf: Any = None
 
     def write_maps(self) -> None:
-        """Everything that belongs to the instrument."""
-        rig, rays, fixed = self._images.instrument, self._images.rays, self._images.fixed
-        dome = rig.dome
-        dead, hot = rig.sensor.bad_pixels(fixed.pattern_seed)
+        """Write the maps of the instrument."""
+        instrument, rays, fixed = self._images.instrument, self._images.rays, self._images.fixed
+        dome = instrument.dome
+        dead, hot = instrument.sensor.bad_pixels(fixed.pattern_seed)
         self._put("dead_pixels", dead.astype(np.uint16), "row", "column")
         self._put("hot_pixels", hot.astype(np.uint16), "row", "column")
         slope = dome.slope_errors(rays.point, np.random.default_rng(fixed.dome_seed))
         self._put("slope_error", _rounded(self._in_frame(slope)), "row", "column", "axis")
-        coating = imaging.coating_reflectance(rig, rays.point, fixed.dome_seed)
+        coating = imaging.coating_reflectance(instrument, rays.point, fixed.dome_seed)
         self._put("dome_reflectance", self._in_frame(coating), "row", "column")
         weight = [self._weight(np.radians(theta)) for theta in self._images.plan.theta_i_deg]
         self._put("weight", np.stack(weight), "incidence", "row", "column")
 
     def write_brdf(self, take: int, incidence: int) -> None:
-        """f of every pixel in one image of the sample, in all channels; nothing for a mirror."""
+        """Write f of every pixel in one image of the sample, for all channels; not of a mirror."""
         images, surface = self._images, self._images.surface
         if surface.model is None:
             return
-        plan, rig = images.plan, images.instrument
-        rows, columns = rig.sensor.shape
+        plan, instrument = images.plan, images.instrument
+        rows, columns = instrument.sensor.shape
         if self._brdf is None:
             self._brdf = self._brdf_array(
                 (len(plan.channels), plan.takes("sample"), len(plan.theta_i_deg), rows, columns)
             )
         psi = images.rotation(take)
         w_i = imaging.in_sample_frame(
-            rig, unit_vectors(np.radians(plan.theta_i_deg[incidence]), 0.0), psi
+            instrument, unit_vectors(np.radians(plan.theta_i_deg[incidence]), 0.0), psi
         )
-        w_r = imaging.in_sample_frame(rig, images.mean_directions, psi)
+        w_r = imaging.in_sample_frame(instrument, images.mean_directions, psi)
         for channel, p in enumerate(surface.p):
             f = surface.model.evaluate(w_i, w_r, p, threads=images.threads)
             self._brdf[channel, take, incidence] = _rounded(self._in_frame(f))
@@ -111,7 +111,7 @@ class TruthImages:
         )
 
     def _brdf_array(self, shape: tuple[int, ...]) -> Any:
-        """The array of f: the one that an interrupted session has begun, else a new one."""
+        """The array of f: that of an interrupted session, or a new one."""
         if "brdf" in self._group:
             return self._group["brdf"]
         return self._group.create_array(
@@ -132,7 +132,7 @@ def _codecs() -> list[Any]:
 
 
 def _rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """To 14 significant bits, to the nearest: the zeros that follow take no space."""
+    """Round to 14 significant bits; the zeros that follow compress to nothing."""
     half, kept = np.int32(1 << (_DROPPED_BITS - 1)), np.int32(-1 << _DROPPED_BITS)
     bits = values.view(np.int32)
     return np.where(np.isnan(values), values, ((bits + half) & kept).view(np.float32))

@@ -1,10 +1,9 @@
-"""BRDF samples: what calibration makes, what files hold, what fitting takes.
+"""BRDF samples: output of calibration, content of files, input of fitting.
 
-Samples of a surface seen in transmission (BTDF) are the same but for their incident direction:
-it lies below the surface and is stored mirrored in the plane of the sample, so that both polar
-angles are at most 90 deg. Light that goes straight through then leaves where a mirror would send
-it, at (theta_i, phi_i + 180 deg), and the models of reflection fit lobes of transmission as they
-stand.
+Samples of a surface seen in transmission (BTDF) differ only in their incident direction. It lies
+below the surface and is stored mirrored in the plane of the sample, so that both polar angles are
+at most 90 deg. Directly transmitted light then has the specular direction (theta_i, phi_i + 180
+deg), and models of reflection also fit lobes of transmission.
 """
 
 from gonio.samples.brdf_samples import BRDFSamples

@@ -1,4 +1,4 @@
-"""BRDF samples with what they can do: select, save, become tables."""
+"""BRDF samples with their methods: selection, files, tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class BRDFSamples(SampleRecord):
     """Measured or simulated BRDF values with their directions and uncertainties.
 
-    `SampleRecord` says what the fields are. Lists are taken where arrays are.
+    `SampleRecord` describes the fields. Lists are accepted in place of arrays.
 
     Examples
     --------
@@ -44,15 +44,15 @@ class BRDFSamples(SampleRecord):
         """Write the samples, whole or not at all: as netCDF (.nc) or as gonio CSV (.csv).
 
         A netCDF file holds everything. A CSV holds directions (degrees), values, u_brdf, channel
-        and wavelength; where the samples hold more, `gonio.errors.IncompleteFileWarning` says what
+        and wavelength; where the samples hold more, `gonio.errors.IncompleteFileWarning` lists what
         is left out.
 
         Raises
         ------
         ConfigurationError
-            If the name ends in neither.
+            If the name has another suffix.
         DataError
-            If the file cannot be written, or a CSV is to hold something else than a BRDF.
+            If the file cannot be written, or samples for a CSV are not a BRDF.
         """
         path = Path(path)
         if path.suffix.lower() == ".nc":
@@ -86,11 +86,11 @@ class BRDFSamples(SampleRecord):
         return netcdf.load(Path(path), cls)
 
     def to_xarray(self) -> xr.Dataset:
-        """The samples as a labelled dataset with everything that they hold; angles in radians."""
+        """The samples as a labelled dataset with all their data; angles in radians."""
         return netcdf.to_dataset(self)
 
     def to_dataframe(self, *, angles: AngleUnit = "rad") -> pd.DataFrame:
-        """One row a sample, columns named as in gonio's CSV.
+        """One row per sample, with the column names of gonio's CSV.
 
         Cells, shared errors, history and metadata have no column; `to_xarray` has them.
 

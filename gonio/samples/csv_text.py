@@ -1,4 +1,4 @@
-"""Samples as a CSV that people and spreadsheets read: one line a sample, angles in degrees."""
+"""Samples as a CSV for people and spreadsheets: one line per sample, angles in degrees."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write_csv(path: Path, samples: SampleRecord) -> None:
 
 
 def not_in_csv(samples: SampleRecord) -> list[str]:
-    """What the samples hold that a CSV has no column for, in words."""
+    """Names of the data for which a CSV has no column."""
     names = {
         "cells": "the cells over which a fit integrates",
         "noise_slope": "the growth of the noise with the value",
@@ -72,15 +72,15 @@ def csv_text(directions: Directions, columns: dict[str, Sequence[str]]) -> str:
 
 
 def printed(values: FloatArray) -> list[str]:
-    """Numbers with 17 significant digits, which come back bit for bit."""
+    """Numbers with 17 significant digits, which are read back bit for bit."""
     return [f"{value:.17g}" for value in values.tolist()]
 
 
 def _degrees(radians: NDArray[Any]) -> FloatArray:
-    """Degrees that `np.radians` takes back to the same bits, short ones first."""
+    """Degrees that `np.radians` converts back to the same bits; the shortest such numbers."""
     exact = np.degrees(radians)
     best = np.array(exact)
-    todo = np.ones(best.shape, dtype=bool)
+    pending = np.ones(best.shape, dtype=bool)
     candidates = [np.round(exact, 10), np.round(exact, 12), exact]
     for side in (-np.inf, np.inf):
         step = exact
@@ -88,7 +88,7 @@ def _degrees(radians: NDArray[Any]) -> FloatArray:
             step = np.nextafter(step, side)
             candidates.append(step)
     for candidate in candidates:
-        hit = todo & (np.radians(candidate) == radians)
+        hit = pending & (np.radians(candidate) == radians)
         best[hit] = candidate[hit]
-        todo &= ~hit
+        pending &= ~hit
     return best

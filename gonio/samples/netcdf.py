@@ -1,4 +1,4 @@
-"""Samples as netCDF: all that they hold, angles in radians."""
+"""Samples as netCDF with all their data; angles in radians."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _UNITS = {
 
 
 def save(path: Path, samples: SampleRecord) -> None:
-    """Write the samples, whole or not at all."""
+    """Write the samples; an error leaves no partial file."""
     dataset = to_dataset(samples)
     with atomic_path(path) as temporary:
         dataset.to_netcdf(temporary, engine="h5netcdf")
@@ -70,7 +70,7 @@ def load(path: Path, kind: type[Record]) -> Record:
 
 
 def to_dataset(samples: SampleRecord) -> xr.Dataset:
-    """The samples as a labelled dataset, radians, with everything that a file holds."""
+    """The samples as a labelled dataset in radians, with all data of a file."""
     import xarray as xr
 
     n = len(samples)

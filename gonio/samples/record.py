@@ -62,7 +62,7 @@ class Cells:
     offsets: NDArray[np.int64]
 
     def select(self, keep: NDArray[np.int64]) -> Cells:
-        """The cells with these indices, in this order."""
+        """The cells at these indices, in this order."""
         counts = np.diff(self.offsets)[keep]
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         within = np.arange(offsets[-1]) - np.repeat(offsets[:-1], counts)
@@ -72,7 +72,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class SampleRecord:
-    """BRDF values with directions and uncertainties; `BRDFSamples` is it with its methods.
+    """BRDF values with directions and uncertainties, the fields of `BRDFSamples`.
 
     Parameters
     ----------
@@ -97,15 +97,15 @@ class SampleRecord:
         Bit `FLAG_PARTIAL`: part of the cell was masked. Bit `FLAG_ENTRY`: seen through the patch
         where the lamp's beam enters the dome, that is close to the retro direction.
     image : ndarray of int64, shape (N,), optional
-        Index of the image (incidence and rotation) the sample comes from.
+        Index of the image (incidence and rotation) of the sample.
     wavelength_nm : ndarray, shape (N,), optional
     channel : ndarray of str, shape (N,), optional
     cells : Cells, optional
         Members for a model integrated over the cell; the model is taken at `directions` if None.
     history : tuple of str
-        One line a processing step.
+        One line per processing step.
     metadata : mapping
-        Anything else worth keeping, JSON-serialisable.
+        Any further data, JSON-serialisable.
     quantity : {"BRDF", "BTDF"}
         What the values are; the incident directions of a BTDF are mirrored in the plane of the
         sample.
@@ -161,7 +161,7 @@ class SampleRecord:
 
     @property
     def n_negative(self) -> int:
-        """How many values are below zero: noise, kept and counted."""
+        """Number of values below zero; they are noise and are kept."""
         return int(np.count_nonzero(self.value < 0))
 
     def __getitem__(self, keep: ArrayLike | slice) -> Self:
@@ -194,9 +194,9 @@ class SampleRecord:
         Raises
         ------
         ConfigurationError
-            If there is no such channel or wavelength, with those that there are.
+            If there is no such channel or wavelength; the message lists the existing ones.
         DataError
-            If a mask has not one value for each sample, or an index is beyond them.
+            If a mask does not have one value for each sample, or an index is out of range.
         """
         result = self
         if channel is not None:
@@ -210,9 +210,9 @@ class SampleRecord:
         """The samples of one channel or wavelength."""
         column = getattr(self, name)
         if column is None or not np.any(keep):
-            known = "they have none" if column is None else ", ".join(map(str, np.unique(column)))
+            choices = "they have none" if column is None else ", ".join(map(str, np.unique(column)))
             raise ConfigurationError(
-                f"no sample has {name} {wanted!r}; known: {known}.", value=wanted
+                f"no sample has {name} {wanted!r}; known: {choices}.", value=wanted
             )
         return self._at(keep, f"{name} = {wanted}")
 
@@ -251,7 +251,7 @@ class SampleRecord:
         Raises
         ------
         DataError
-            If no sample is left.
+            If no sample remains.
         """
         result = self
         for name, limit in (("theta_i", max_theta_i), ("theta_r", max_theta_r)):

@@ -1,4 +1,4 @@
-"""Samples as a pandas table and back; angles in radians, or in degrees where that is said."""
+"""Samples as a pandas table and back; angles in radians, or in degrees on request."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMES = {"value": "brdf", "u_independent": "u_brdf"} | {
 
 
 def to_frame(samples: SampleRecord, angles: AngleUnit) -> pd.DataFrame:
-    """One row a sample: the four angles, brdf, and the other columns that the samples have."""
+    """One row per sample: the four angles, brdf, and the other columns of the samples."""
     import pandas as pd
 
     degrees = _is_degrees(angles)
@@ -46,13 +46,13 @@ def from_frame(frame: pd.DataFrame, angles: AngleUnit) -> dict[str, Any]:
         If a column is missing or unknown, or polar angles look like degrees.
     """
     degrees = _is_degrees(angles)
-    known = (*ANGLES, *NAMES.values())
+    columns = (*ANGLES, *NAMES.values())
     for name in frame.columns:
-        if name not in known:
-            near = get_close_matches(str(name).lower(), known, n=1, cutoff=0.5)
+        if name not in columns:
+            near = get_close_matches(str(name).lower(), columns, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise DataError(
-                f"unknown column {name!r}: {hint}Allowed: {', '.join(known)}; leave others out.",
+                f"unknown column {name!r}: {hint}Allowed: {', '.join(columns)}; leave others out.",
                 value=name,
             )
     missing = [name for name in (*ANGLES, "brdf") if name not in frame.columns]

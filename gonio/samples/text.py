@@ -1,4 +1,4 @@
-"""Samples in a few words, for a prompt and for a notebook."""
+"""Short descriptions of samples, for a prompt and for a notebook."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ MOST_NAMES = 6
 
 
 def facts(samples: SampleRecord) -> list[tuple[str, str]]:
-    """What the samples are, by name, in the order in which a person asks."""
+    """Name and text of each fact about the samples."""
     n = len(samples)
-    found: list[tuple[str, str]] = []
-    found.append((str(samples.quantity), f"{n} values{_range(samples.value, ' sr^-1')}"))
+    rows: list[tuple[str, str]] = []
+    rows.append((str(samples.quantity), f"{n} values{_range(samples.value, ' sr^-1')}"))
     for name in ("theta_i", "theta_r"):
         angle = np.degrees(np.broadcast_to(getattr(samples.directions, name), (n,)))
-        found.append((name, _range(angle, " deg").removeprefix(", ") or "none"))
+        rows.append((name, _range(angle, " deg").removeprefix(", ") or "none"))
     u = samples.u_independent
     shown = "not stated" if u is None else _range(u, " sr^-1").removeprefix(", ")
-    found.append(("u_brdf", shown))
+    rows.append(("u_brdf", shown))
     if samples.channel is not None:
-        found.append(("channels", _names(list(map(str, np.unique(samples.channel))))))
+        rows.append(("channels", _names(list(map(str, np.unique(samples.channel))))))
     if samples.wavelength_nm is not None:
         nm = [f"{v:g}" for v in np.unique(samples.wavelength_nm)]
-        found.append(("wavelengths", f"{_names(nm)} nm"))
+        rows.append(("wavelengths", f"{_names(nm)} nm"))
     if samples.cells is not None:
-        found.append(("cells", f"{len(samples.cells.weight)} members"))
+        rows.append(("cells", f"{len(samples.cells.weight)} members"))
     if samples.shared:
-        found.append(("shared errors", _names([term.name for term in samples.shared])))
-    return found
+        rows.append(("shared errors", _names([term.name for term in samples.shared])))
+    return rows
 
 
 def short(samples: SampleRecord) -> str:
@@ -42,7 +42,7 @@ def short(samples: SampleRecord) -> str:
 
 
 def html(samples: SampleRecord) -> str:
-    """A table of what the samples are, and the first of them."""
+    """A table of facts about the samples, and the first samples."""
     about = "".join(
         f'<tr><td style="text-align:left">{escape(name)}</td>'
         f'<td style="text-align:left">{escape(text)}</td></tr>'

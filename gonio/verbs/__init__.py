@@ -1,7 +1,7 @@
-"""The names of `gonio` in Python: its verbs, its rooms, and which command each verb is.
+"""The names in `gonio`: its verbs, its packages, and the command of each verb.
 
-A verb that has a room of its own stands there; the others have a file each in this folder. The
-root package, the tests and the manual's table of commands read the names here.
+Some verbs are defined in other packages; the others have a file each in this folder. The root
+package, the tests and the manual's table of commands read the names here.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ ROOMS = (
     "simulation",
 )
 
-# Commands whose name in Python is not the same word: `import` is a word of the language, a group
-# has its verbs in one name, and lists are rooms.
+# Commands with another name in Python: `import` is a keyword, a subcommand is one name, and a list
+# is a package.
 PYTHON_NAMES = {
     "import": "import_rig",
     "calibrate lens": "calibrate_lens",
@@ -70,7 +70,7 @@ def python_name(command: str) -> str:
     Parameters
     ----------
     command : str
-        The words behind ``gonio`` that call it.
+        The words after ``gonio`` on the command line.
 
     Examples
     --------

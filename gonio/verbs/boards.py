@@ -15,7 +15,7 @@ from gonio.progress import Progress
 
 @dataclass(frozen=True)
 class BoardPhotos:
-    """Photographs of a board, with what `gonio.calibrate_lens` has to be told of them.
+    """Photographs of a board, with the information that `gonio.calibrate_lens` needs.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ class BoardPhotos:
         The photographs.
     board : Board
     camera : BoardCamera
-        Its ``pitch_mm`` is that of the photographs' pixels.
+        Its ``pitch_mm`` is the pixel pitch of the photographs.
     """
 
     paths: list[Path]
@@ -45,29 +45,29 @@ def boards(
 ) -> BoardPhotos:
     """Photograph a calibration board with a virtual camera.
 
-    The board is shown in the middle of the field, half-way and at the rim. What the photographs
-    show is written to the folder ``truth`` beside them.
+    The photographs show the board in the middle of the field, half-way and at the rim. The true
+    poses are written to the folder ``truth`` next to them.
 
     Parameters
     ----------
     output : path
         New folder for the photographs.
     board : Board, optional
-        A charuco board of 12 x 9 squares of 20 mm where not given.
+        Default: a charuco board of 12 x 9 squares of 20 mm.
     instrument : Instrument or str
-        Whose camera takes the photographs: a preset, a TOML file, or an instrument.
+        The instrument whose camera takes the photographs: a preset, a TOML file, or an object.
     camera : BoardCamera, optional
-        The camera, in place of the instrument's own.
+        The camera to use instead of that of the instrument.
     count : int
         Number of photographs.
     seed : int
-        Poses of the board and noise follow from it.
+        Seed of the random numbers: poses of the board and noise.
     bits : {8, 16}
-        Of the PNG files.
+        Bits per pixel of the PNG files.
     threads : int, optional
         Number of worker threads; the photographs do not depend on it.
     progress : callable, optional
-        Called with (photographs done, photographs in all).
+        Called with (photographs done, total number of photographs).
 
     Returns
     -------
@@ -76,15 +76,15 @@ def boards(
     Raises
     ------
     ConfigurationError
-        For an unknown instrument, fewer than one photograph, or a folder that holds something.
+        For an unknown instrument, fewer than one photograph, or a folder that is not empty.
     DataError
         If a file cannot be written.
 
     Examples
     --------
     >>> import gonio, tempfile
-    >>> rig = gonio.instrument.preset("ideal12").with_pixels(104)
-    >>> photos = boards(tempfile.mkdtemp() + "/photos", instrument=rig, count=1)
+    >>> instrument = gonio.instrument.preset("ideal12").with_pixels(104)
+    >>> photos = boards(tempfile.mkdtemp() + "/photos", instrument=instrument, count=1)
     >>> [path.name for path in photos.paths]
     ['photo_00.png']
     """

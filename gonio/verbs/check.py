@@ -1,4 +1,4 @@
-"""A model against its claims, or BRDF samples against reciprocity."""
+"""Check of a model against its claims, or of BRDF samples for reciprocity."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def check(
     *,
     select: Mapping[str, str] | None = None,
 ) -> ModelReport | SamplesReport:
-    """Check a model or BRDF samples: reciprocity, energy, which quantity.
+    """Check a model or BRDF samples for reciprocity, energy and quantity.
 
-    A model is held to what it claims; samples are asked for reciprocal pairs, and whether a cosine
-    was left in their values.
+    A model is tested against its claims. Samples are tested for reciprocity, which also shows
+    whether their values still contain a cosine.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def check(
 def named_target(
     target: Model | BRDFSamples | Path | str,
 ) -> tuple[Model, dict[str, float]] | None:
-    """The model that a target names, with a material's parameters; None where it is samples.
+    """The model that a target names, with the parameters of a material; None for samples.
 
     Raises
     ------

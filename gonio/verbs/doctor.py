@@ -1,4 +1,4 @@
-"""What this installation is made of and whether it works."""
+"""Versions of this installation, and a test whether it works."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from gonio._version import __version__
 
 _DIGITS = 1e-12
-# What an extra of pyproject.toml brings to a user; the others are for work on gonio itself.
+# What an extra of pyproject.toml adds for a user; the others are for the development of gonio.
 EXTRAS = {
     "arviz": "posteriors as objects of arviz",
     "bench": "benchmarks against other programs",
@@ -29,9 +29,9 @@ def doctor() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``ok`` says whether everything works. ``dependencies`` has the version of each package
-        that gonio needs, None where it is missing; ``checks`` has for each computation its title,
-        whether it came out, and the numbers.
+        ``ok`` states whether everything works. ``dependencies`` holds the version of each required
+        package, None if it is missing. ``checks`` holds for each computation its title, whether it
+        passed, and the numbers.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def _threads() -> int:
 
 
 def _cache() -> dict[str, Any]:
-    """The folder of compiled code; a temporary one stands in where it cannot be written."""
+    """The folder of compiled code; a temporary folder is used if it cannot be written."""
     import gonio.cache as cache
 
     wanted = cache.wanted_folder()
@@ -111,7 +111,7 @@ def _cache() -> dict[str, Any]:
 
 
 def _check(title: str, compute: Callable[[], tuple[float, float]]) -> dict[str, Any]:
-    """One computation against a number from plain `math`; any error is a failure, not a crash."""
+    """Compare one computation with a number from `math`; an exception is a failure, not a crash."""
     try:
         value, expected = compute()
     except Exception as error:

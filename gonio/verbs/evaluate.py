@@ -27,17 +27,17 @@ def evaluate(
     model : Model or str, optional
         A model; or give `material`.
     directions : Directions or path
-        Directions in radians, or a CSV with the columns theta_i, phi_i, theta_r, phi_r in degrees.
+        Directions in radians, or a CSV file with columns theta_i, phi_i, theta_r, phi_r in degrees.
     parameters : mapping of str to float, optional
-        Parameters by name, radians for angles. Those left out have the model's defaults, or the
-        material's values.
+        Parameters by name, radians for angles. The others have the defaults of the model, or the
+        values of the material.
     material : str, optional
         A named material.
 
     Returns
     -------
     ndarray
-        Of the shape of the directions.
+        Array of the shape of the directions.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A model, BRDF samples, a session or a fit as a picture."""
+"""Plots of a model, BRDF samples, a session or a fit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# What each kind of picture is made of.
+# The data that each kind of plot needs.
 KINDS = {
     "summary": "samples",
     "slices": "samples",
@@ -41,7 +41,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class _Content:
-    """What there is to draw; what is not there is None."""
+    """The data to draw; None where there is none."""
 
     fit: FitResult | None = None
     samples: BRDFSamples | None = None
@@ -51,13 +51,13 @@ class _Content:
     parameters: Mapping[str, float] | None = None
 
     def has(self, what: str) -> bool:
-        """Whether there is one of the things that are named, as in "samples or model"."""
+        """Whether one of the named data is present, as in "samples or model"."""
         return any(getattr(self, word) is not None for word in what.split(" or "))
 
 
 @dataclass(frozen=True)
 class _Reader:
-    """How a source is read: what is selected of it, and who is told of what was left out."""
+    """How a source is read: the selection, and the function that receives notes."""
 
     select: Mapping[str, str]
     choose: Callable[[FitResult], FitResult] | None
@@ -82,24 +82,24 @@ def plot(
     ----------
     source : Model, FitResult, BRDFSamples, Session, path or str
         What to draw: an object; a FIT.json, a file of samples or the folder of a session; or
-        "model:NAME" or "material:NAME". With a FIT.json come the samples, posterior and frames
-        that it names, where they are still there.
+        "model:NAME" or "material:NAME". With a FIT.json, the samples, posterior and frames that it
+        names are also drawn, if they exist.
     kind : str, optional
-        "summary", "slices", "hemisphere", "residuals", "frames", "lobe", "solid" or "albedo"; one
-        page with all of them where not given, of a model its lobe.
+        "summary", "slices", "hemisphere", "residuals", "frames", "lobe", "solid" or "albedo";
+        default: one page with all of them, or the lobe of a model.
     parameters : mapping of str to float, optional
-        Of a model, radians for angles.
+        Parameters of a model, radians for angles.
     samples : BRDFSamples, optional
-        What a `FitResult` was made to.
+        The samples of a `FitResult`.
     select : mapping of str to str, optional
         Part of a file or of a joint fit: ``{"wavelength": "650"}``, ``{"channel": "red"}`` or
         ``{"part": NAME}``.
     choose : callable, optional
-        Takes one part out of a joint fit, in place of `select`.
+        Function that selects one part of a joint fit, instead of `select`.
     note : callable, optional
-        Called with each sentence on what was chosen or left out; `warnings.warn` if not given.
+        Called with a sentence for each choice or omission; default: `warnings.warn`.
     progress : callable, optional
-        Called with (stage, images done, images in all) while a session is reduced.
+        Called with (stage, images done, total number of images) while a session is reduced.
 
     Returns
     -------
@@ -109,7 +109,8 @@ def plot(
     Raises
     ------
     ConfigurationError
-        For an unknown kind, one that the source has nothing for, or parameters of measured data.
+        For an unknown kind, a kind for which the source has no data, or parameters of measured
+        data.
     DataError
         If a file is missing or cannot be read.
 
@@ -182,7 +183,7 @@ def _read(source: Path, reader: _Reader) -> _Content:
 
 
 def _fitted(source: Path, reader: _Reader) -> _Content:
-    """A fit with what belongs to it; the samples must be there, the rest may be missing."""
+    """A fit with its samples, which must exist, and its session and draws, which may be missing."""
     from gonio.reporting.inputs import gather
     from gonio.verbs.report import reducer
 

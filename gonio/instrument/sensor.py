@@ -129,7 +129,7 @@ class Sensor(Part):
         return sum_dn / self.binned_divisor
 
     def readout(self) -> dict[str, Any]:
-        """Properties of a binned pixel for the conversion to counts: arguments of `noise.expose`."""
+        """Properties of a binned pixel for the conversion to counts, for `noise.expose`."""
         return {
             "full_well_e": self.binned_full_well_e,
             "gain_dn_per_e": self.binned_gain_dn_per_e,

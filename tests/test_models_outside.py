@@ -313,6 +313,35 @@ class TestKernelInNoFile:
         with pytest.raises(ConfigurationError, match="is no plain Python function; write it with"):
             build.loops_for(math.sin, 1)
 
+    @pytest.mark.parametrize(
+        ("body", "said"),
+        [
+            ("return rho, Model()", r"Untyped global name 'Model': Cannot determine .* \(line 6\)"),
+            ("return (rho,)", "tuple index out of range"),
+        ],
+    )
+    def test_what_numba_cannot_compile_is_said_in_a_sentence(self, tmp_path, body, said):
+        path = tmp_path / "paint.py"
+        path.write_text(
+            "from gonio.models import Model, Parameter\n"
+            "PARAMETERS = (Parameter('rho', 'r', 'r', 0.5, 0.0, 1.0),)\n"
+            "\n"
+            "\n"
+            "def paint(xi, yi, zi, xr, yr, zr, rho):\n"
+            f"    {body}\n"
+            "\n"
+            "\n"
+            "MODEL = Model('paint', '', '', PARAMETERS, paint)\n",
+            encoding="utf-8",
+        )
+        with pytest.raises(
+            ConfigurationError,
+            match=rf"numba cannot compile the kernel paint\(\) of paint.py: {said}. Write it in "
+            r"plain arithmetic and math of floats that returns the tuple \(f, df/dp_1, ..., "
+            r"df/dp_n\), or make the model by Model.from_function",
+        ):
+            models.load(str(path)).gradient(*where(3).vectors(), np.array([0.5]))
+
 
 @pytest.fixture
 def file(tmp_path) -> Path:

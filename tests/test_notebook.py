@@ -9,32 +9,32 @@ NOTEBOOK = '''
 import numpy as np
 import gonio
 from gonio import models, plotting
-from gonio.geometry import Directions
-from gonio.samples import BRDFSamples
+from gonio.instrument import preset
+from gonio.metadata import Plan
 
 def sheen(directions, rho, gloss, width):
-    off = directions.theta_r - directions.theta_i
-    return rho / np.pi + gloss * np.exp(-((off / width) ** 2)) * (np.cos(directions.phi_r) < 0)
+    tan2 = np.tan(directions.delta()) ** 2
+    return rho / np.pi + gloss * np.exp(-tan2 / width**2)
 
 model = models.Model.from_function(
     sheen, {"rho": (0.5, 0, 1), "gloss": (0.2, 0, 5), "width": (0.2, 0.02, 1)})
-rng = np.random.default_rng(1)
-theta, phi_r = rng.uniform(0, 1.1, (2, 400)), rng.choice([0, 3.1], 400)
-where = Directions(theta[0], 0.0, theta[1], phi_r)
-f = model(where, rho=0.4, gloss=0.6, width=0.15)
-samples = BRDFSamples(where, f + 0.005 * rng.standard_normal(400), np.full(400, 0.005))
-result = gonio.fit(samples, model, posterior=True, seed=1)
+truth = {"rho": 0.4, "gloss": 0.6, "width": 0.3}
+rig = preset("ideal12").with_pixels(26)
+plan = Plan(theta_i_deg=(10, 50), rotations_deg=(0,), exposures_s=(1e-3, 32e-3))
+session = gonio.simulate(model=model, parameters=truth, instrument=rig, plan=plan, output="sheen")
+result = gonio.fit(gonio.reduce(session), model, posterior=True, seed=1)
 plotting.corner(result.inference_data().posterior)
 print(result)
 frame = result.to_dataframe()
 draws = result.inference_data(log_likelihood=True)
 '''  # fmt: skip
 CHECKS = """
-truth = {"rho": 0.4, "gloss": 0.6, "width": 0.15}
 assert all(abs(frame.loc[n, "value"] - v) < 4 * frame.loc[n, "stderr"] for n, v in truth.items())
 assert result.ok and len(repr(result)) < 2000
-assert draws.log_likelihood["brdf"].shape[-1] == 400
+assert draws.log_likelihood["brdf"].shape[-1] == result.n_samples
+where = gonio.geometry.Directions(0.3, 0.0, np.linspace(0, 1, 5), np.pi)
 assert np.allclose(result.predict(where).value, model(where, **result.values()))
+
 """
 
 

@@ -35,6 +35,7 @@ from gonio.kernels.sources import definition, ingredients, plain, reached
 from gonio.kernels.split import split
 from gonio.kernels.template import DECORATOR, module_text, read
 from gonio.kernels.texels import TexelLoops, texels_around
+from gonio.kernels.uncompilable import guarded
 
 _HEADER = '''"""Loops around {name}, written by gonio.kernels.build; safe to delete.
 
@@ -93,6 +94,7 @@ from gonio.kernels.fastmath import sincos
 
 small_fits, sincos = small_fits({n_parameters}), compiled(sincos)
 """
+OWN = ("gonio.", "gonio_cache_")  # modules of functions that are part of gonio, or written by it
 _DIRECTIONS = ("xi", "yi", "zi", "xr", "yr", "zr")
 
 Piece = str | Callable[..., Any]  # of a generated file: a text or a template
@@ -214,7 +216,11 @@ def _compiled_record(
         kept=complete,
     )
     fields = getattr(record, "__dataclass_fields__")  # noqa: B009
-    return record(**{name: getattr(module, name) for name in fields})
+    found = {name: getattr(module, name) for name in fields}
+    outside = [f for f in reached(source) if not f.__module__.startswith(OWN)]
+    if outside:
+        found |= {name: guarded(f, outside[0]) for name, f in found.items() if callable(f)}
+    return record(**found)
 
 
 def _versions() -> list[str]:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.errors import DataError
+from gonio.fitting.problem.constraints import Constraints
+from gonio.fitting.problem.unknowns import Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.kernels import TexelLoops, map_blocks, texel_loops_for
 from gonio.models import Model, Parameter
 from gonio.models import get as get_model
+from gonio.models._fewer import fewer_parameters
 
 STATUS = ("converged", "not_converged", "no_data")  # in the order of the compiled loop's numbers
 BLOCK = 256  # texels that are fitted in one call
@@ -37,19 +41,19 @@ class TexelFit:
     parameters : ndarray, shape (T, P)
         Python units (radians for angles); NaN where the texel has no data.
     stderr : ndarray, shape (T, P)
-        Standard uncertainty; NaN at a bound, where the data do not determine the parameter, and
-        where the fit did not converge.
+        Standard uncertainty; NaN at a bound, where the data do not determine the parameter, where
+        it is fixed, and where the fit did not converge.
     chi2 : ndarray, shape (T,)
         Weighted sum of squares of the residuals.
     n_samples : ndarray of int32, shape (T,)
         Samples that were used.
     status : ndarray of int8, shape (T,)
         Index into `STATUS`: 0 converged, 1 not_converged, 2 no_data: not more usable samples than
-        parameters.
+        parameters that are fitted.
     at_bound : ndarray of int8, shape (T, P)
         -1 on the lower bound, 1 on the upper one, else 0.
     determined : ndarray of bool, shape (T, P)
-        Whether the data say anything about the parameter.
+        Whether the data say anything about the parameter; False where it is fixed.
     """
 
     model: str
@@ -77,6 +81,8 @@ def fit_texels(
     *,
     u: ArrayLike | None = None,
     mask: ArrayLike | None = None,
+    fixed: Mapping[str, float] | None = None,
+    tied: Mapping[str, str] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> TexelFit:
@@ -96,6 +102,11 @@ def fit_texels(
         fit is the measure of the noise.
     mask : array_like of bool, shape (N,) or (T, N), optional
         True for samples to leave out.
+    fixed : mapping of str to float, optional
+        Parameters that are no unknowns, with their values, radians for angles. Code is compiled
+        for these values, which takes some seconds at the first call.
+    tied : mapping of str to str, optional
+        Parameters that take the value of another one: `{"alpha_y": "alpha_x"}`.
     threads : int, optional
         The result does not depend on it.
     progress : callable, optional
@@ -108,10 +119,10 @@ def fit_texels(
     Raises
     ------
     ConfigurationError
-        For an unknown model.
+        For an unknown model, or parameters that cannot be fixed or tied so.
     DataError
         If shapes do not fit, an uncertainty is not positive, or a texel has not more samples than
-        the model has parameters.
+        parameters are fitted.
 
     Notes
     -----
@@ -132,15 +143,22 @@ def fit_texels(
     [[0.2, 0.05, 0.15], [0.2, 0.1, 0.15]]
     """
     chosen = get_model(model)
+    constraints = Constraints.of(chosen, fixed, tied)
     stack = _Stack.checked(directions, values, u, mask)
-    parameters = chosen.parameters
-    if stack.shape[1] <= len(parameters):
+    unknowns, arguments, reported = constraints.unknowns(chosen)
+    if stack.shape[1] <= len(unknowns):
         raise DataError(
-            f"{stack.shape[1]} samples a texel cannot decide the {len(parameters)} parameters of "
-            f"{chosen.name}; give at least {len(parameters) + 1}."
+            f"{stack.shape[1]} samples a texel cannot decide the {len(unknowns)} "
+            f"{'free ' if constraints else ''}parameters of {chosen.name}; give at least "
+            f"{len(unknowns) + 1}."
         )
-    result = _empty(chosen, stack.shape[0])
-    work = _Work.of(chosen, stack)
+    kernel = chosen.kernel
+    if constraints:
+        kernel = fewer_parameters(
+            kernel, tuple(arguments.source.tolist()), tuple(arguments.values.tolist())
+        )
+    result = _empty(chosen.name, unknowns, stack.shape[0])
+    work = _Work.of(kernel, unknowns, stack)
     done, lock = 0, Lock()
 
     def run(a: int, b: int) -> None:
@@ -152,7 +170,7 @@ def fit_texels(
                 progress(done, stack.shape[0])
 
     map_blocks(run, stack.shape[0], threads=threads, block=BLOCK)
-    return result
+    return _all_parameters(result, reported) if constraints else result
 
 
 @dataclass(frozen=True)
@@ -241,10 +259,11 @@ class _Work:
     known_noise: bool
 
     @classmethod
-    def of(cls, model: Model, stack: _Stack) -> _Work:
-        parameters = model.parameters
+    def of(
+        cls, kernel: Callable[..., Any], parameters: tuple[Parameter, ...], stack: _Stack
+    ) -> _Work:
         work = cls(
-            texel_loops_for(model.kernel, len(parameters)),
+            texel_loops_for(kernel, len(parameters)),
             None,
             -(-stack.shape[1] // LANES) * LANES,
             _grid(parameters, coarse=not stack.common_directions),
@@ -292,6 +311,9 @@ def _grid(parameters: tuple[Parameter, ...], *, coarse: bool) -> FloatArray:
     for j in others:
         q = parameters[j]
         low, high = q.start or (q.lower, q.upper)
+        low, high = max(low, q.lower), min(high, q.upper)
+        if low >= high:  # a tie may leave bounds outside the range of starting values
+            low, high = q.lower, q.upper
         axes.append(np.geomspace(low, high, n) if q.scale == "log" else np.linspace(low, high, n))
     rest = np.array([min(max(0.0, q.lower), q.upper) for q in parameters])
     grid = np.tile(rest, (n ** len(others), 1))
@@ -299,12 +321,12 @@ def _grid(parameters: tuple[Parameter, ...], *, coarse: bool) -> FloatArray:
     return grid
 
 
-def _empty(model: Model, t: int) -> TexelFit:
+def _empty(model: str, parameters: tuple[Parameter, ...], t: int) -> TexelFit:
     """A result to be filled in."""
-    p = len(model.parameters)
+    p = len(parameters)
     return TexelFit(
-        model=model.name,
-        names=model.names,
+        model=model,
+        names=tuple(q.name for q in parameters),
         parameters=np.empty((t, p)),
         stderr=np.empty((t, p)),
         chi2=np.empty(t),
@@ -313,3 +335,22 @@ def _empty(model: Model, t: int) -> TexelFit:
         at_bound=np.empty((t, p), np.int8),
         determined=np.empty((t, p), np.bool_),
     )
+
+
+def _all_parameters(fitted: TexelFit, reported: tuple[Reported, ...]) -> TexelFit:
+    """The result of the unknowns with a column for each parameter of the model."""
+    columns = np.array([-1 if q.unknown is None else q.unknown for q in reported])
+    fixed = columns < 0
+    every = replace(
+        fitted,
+        names=tuple(q.parameter.name for q in reported),
+        parameters=fitted.parameters[:, columns],
+        stderr=fitted.stderr[:, columns],
+        at_bound=fitted.at_bound[:, columns],
+        determined=fitted.determined[:, columns],
+    )
+    every.parameters[:, fixed] = [q.value for q in reported if q.value is not None]
+    every.parameters[fitted.status == STATUS.index("no_data")] = np.nan
+    every.stderr[:, fixed] = np.nan
+    every.at_bound[:, fixed], every.determined[:, fixed] = 0, False
+    return every

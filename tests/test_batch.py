@@ -8,7 +8,7 @@ import pytest
 
 import gonio
 from gonio import models
-from gonio.errors import DataError
+from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.texels import BLOCK, STATUS, fit_texels
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples
@@ -219,3 +219,103 @@ def test_too_few_samples_are_refused():
         DataError, match="4 samples a texel cannot decide the 4 parameters of ward; give at least 5"
     ):
         fit_texels(seen, np.ones((2, 4)), "ward")
+
+
+# ---------------------------------------------------------------------- fixed and tied parameters
+
+
+CONSTRAINTS = [
+    {"tied": {"alpha_y": "alpha_x"}},
+    {"tied": {"alpha_x": "alpha_y"}, "fixed": {"rho_d": 0.21}},
+    {"fixed": {"alpha_y": 0.1}},
+    {"fixed": {"rho_d": 0.2, "alpha_x": 0.12, "alpha_y": 0.12}},
+]
+ROUND = [WARD | {"alpha_x": a, "alpha_y": a} for a in (0.12, 0.2)]
+
+
+@pytest.mark.parametrize("constraints", CONSTRAINTS)
+def test_constraints_are_those_of_fit(constraints, seen):
+    # So little noise that both searches stop much nearer the minimum than 1e-8.
+    values, u = stack("ward", ROUND, seen, noise=1e-6)
+    if "fixed" in constraints:
+        fixed = constraints["fixed"]
+        values, u = stack("ward", [p | fixed for p in ROUND], seen, noise=1e-6)
+    found = fit_texels(seen, values, "ward", u=u, **constraints)
+    assert found.names == models.get("ward").names
+    assert found.count("converged") == len(values)
+    for t, value in enumerate(values):
+        one = gonio.fit(BRDFSamples(seen, value, u), model="ward", threads=1, **constraints)
+        assert found.chi2[t] == pytest.approx(one.chi2, rel=1e-6)
+        for j, (name, estimate) in enumerate(one.parameters.items()):
+            assert found.parameters[t, j] == pytest.approx(estimate.value, rel=1e-8), name
+            if estimate.fixed:
+                assert np.isnan(found.stderr[t, j])
+                assert not found.determined[t, j]
+                assert found.at_bound[t, j] == 0
+            else:
+                assert found.stderr[t, j] == pytest.approx(estimate.stderr, rel=1e-4)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_an_elliptical_lobe_with_tied_widths_is_the_isotropic_one(known, seen):
+    values, u = stack("ward", ROUND, seen)
+    u = u if known else None
+    tied = fit_texels(seen, values, "ward", u=u, tied={"alpha_y": "alpha_x"})
+    isotropic = fit_texels(seen, values, "ward_isotropic", u=u)
+    columns = [0, 1, 2, 2]
+    for name in ("parameters", "stderr"):
+        np.testing.assert_allclose(
+            getattr(tied, name), getattr(isotropic, name)[:, columns], rtol=1e-8
+        )
+    np.testing.assert_allclose(tied.chi2, isotropic.chi2, rtol=1e-10)
+
+
+def test_constraints_hold_for_a_model_of_arrays(seen):
+    def minnaert(directions, rho, k):
+        cosines = np.cos(directions.theta_i) * np.cos(directions.theta_r)
+        return rho / np.pi * cosines ** (k - 1)
+
+    model = models.Model.from_function(minnaert, {"rho": (0.5, 0, 1), "k": (1, 0, 2)})
+    values, u = stack("minnaert", [{"rho": 0.3, "k": 0.9}] * 2, seen, noise=1e-3)
+    own, ours = (
+        fit_texels(seen, values, m, u=u, fixed={"k": 0.9}) for m in (model, "minnaert")
+    )  # fmt: skip
+    np.testing.assert_allclose(own.parameters, ours.parameters, rtol=1e-5)
+    assert (own.parameters[:, 1] == 0.9).all()
+
+
+def test_a_texel_without_data_has_no_fixed_value(seen):
+    values, u = stack("ward", ROUND, seen)
+    values[1, 2:] = np.nan  # as many samples as unknowns
+    held = {"rho_d": 0.2, "alpha_y": 0.1}
+    found = fit_texels(seen, values, "ward", u=u, fixed=held)
+    assert [STATUS[s] for s in found.status] == ["converged", "no_data"]
+    assert np.isnan(found.parameters[1]).all()
+    assert found.parameters[0, [0, 3]].tolist() == [0.2, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("constraints", "text"),
+    [
+        ({"fixed": {"alpha": 0.1}},
+         "unknown parameter of ward to fix 'alpha': did you mean 'alpha_y'?"),
+        ({"fixed": {"alpha_y": 99}}, "alpha_y = 99 is out of range; allowed is 0.005 to 2."),
+        ({"fixed": {"alpha_y": 0.1}, "tied": {"alpha_y": "alpha_x"}},
+         "alpha_y is fixed and tied at once; leave one of the two out."),
+        ({"fixed": dict(WARD)}, "all parameters of ward are fixed or tied to fixed ones: nothing "
+         "is left to fit; leave one of them free."),
+    ],
+)  # fmt: skip
+def test_bad_constraints_are_refused(constraints, text, seen):
+    with pytest.raises(ConfigurationError) as error:
+        fit_texels(seen, np.ones((2, N)), "ward", **constraints)
+    assert text in str(error.value)
+
+
+def test_fewer_parameters_need_fewer_samples():
+    few = Directions(0.3, 0.0, np.linspace(0, 1, 3), 0.0)
+    with pytest.raises(
+        DataError,
+        match="3 samples a texel cannot decide the 3 free parameters of ward; give at least 4",
+    ):
+        fit_texels(few, np.ones((2, 3)), "ward", tied={"alpha_y": "alpha_x"})

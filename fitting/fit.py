@@ -1,4 +1,4 @@
-"""`fit`: BRDF samples and a model to parameters with honest uncertainties."""
+"""`fit`: BRDF samples and a model to parameters with their uncertainties."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gonio.fitting.minimum.nuisance import profiled
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import predictive
 from gonio.fitting.posterior.at_minimum import sampled
-from gonio.fitting.posterior.chain import Progress
+from gonio.fitting.posterior.chain import Chain, Progress
 from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.constraints import Constraints
@@ -25,7 +25,7 @@ from gonio.fitting.problem.losses import CHI2, Loss
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
-from gonio.fitting.result import FitResult
+from gonio.fitting.result import FitResult, PosteriorSummary
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
@@ -73,7 +73,7 @@ def fit(
         What residuals are multiplied by; "sd" where the samples have uncertainties.
     start : mapping, optional
         Starting values (radians for angles) beside those that the data suggest. Where these lead
-        to a deeper minimum, it is taken and the other one is told of.
+        to a deeper minimum, it is taken and a warning names the other one.
     fixed : mapping of str to float, optional
         Parameters that are no unknowns, with their values, radians for angles: `{"rho_d": 0.0}`.
         With `share` in all parts.
@@ -127,8 +127,8 @@ def fit(
     Notes
     -----
     Independent errors set the weights; errors that samples share (the standard, the lamp, the
-    mapping) are propagated to the parameters linearly and added, not learnt from the data, unless
-    `nuisance` names them.
+    mapping) are propagated to the parameters linearly and added, and not estimated from the data,
+    unless `nuisance` names them.
 
     With `share` every part counts by its own noise: its independent uncertainties are multiplied
     by what its fit alone needs (Birge's ratio). The growth of chi-squared over separate fits tells
@@ -155,71 +155,100 @@ def fit(
     options["constraints"] = held
     if share is None:
         options |= {"engine": searched_by, "loss": loss}
-    found = _minimum(samples, chosen, share, **options)
-    found = profiled(found, profiled_terms(found.problem.samples, nuisance))
+    minimum = _minimum(samples, chosen, share, **options)
+    minimum = profiled(minimum, profiled_terms(minimum.problem.samples, nuisance))
     chain = None
     if posterior:
-        found, chain = sampled(found, priors, seed=seed, sampler=sampler, progress=progress)
-    problem, optimum, scale = found.problem, found.optimum, found.noise_scale
-    errors, undetected = uncertainties(found)
-    warnings = warnings_of(found, errors) + found.warnings
-    estimates, bound_warnings = estimated(found, errors)
-    warnings += condensed(undetected + bound_warnings)
-    # What residuals should look like is known for chi-squared alone.
-    diagnostics, diagnosed = diagnose(found) if problem.quadratic else ({}, [])
-    warnings += diagnosed
-    shared_errors = nuisance_estimates(found)
-    warnings += pull_warnings(shared_errors)
-    summary = None
-    if chain is not None:
-        summary = chain.summary(problem.parameters, None if draws is None else str(draws))
-        estimates = with_quantiles(problem.parameters, estimates, chain.draws)
-        if draws is not None:
-            predictive.save(chain, Path(draws), problem, scale=scale, seed=seed)
-        if not chain.converged:
-            warnings.append(
-                f"the posterior has not converged (R-hat {summary.r_hat:.3f}, "
-                f"{chain.n_steps} steps, tau {summary.tau:.0f}, effective draws "
-                f"{summary.ess:.0f} in the bulk and {summary.ess_tail:.0f} in the tails): its "
-                "intervals are provisional."
-            )
-        warnings += chain.warnings
-    if chosen.note:
-        warnings.append(chosen.note)
+        minimum, chain = sampled(minimum, priors, seed=seed, sampler=sampler, progress=progress)
+    if chain is not None and draws is not None:
+        predictive.save(chain, Path(draws), minimum.problem, scale=minimum.noise_scale, seed=seed)
     return FitResult(
         model=chosen.name,
         model_source=source_of(chosen),
-        status=found.status,
-        parameters=all_estimates(problem.reported, estimates),
-        covariance=None
-        if noiseless(found)
-        else all_covariances(problem.reported, covariance(errors)),
-        chi2=found.chi2,
-        dof=found.dof,
-        noise_scale=scale,
-        n_samples=problem.n,
-        n_negative=problem.samples.n_negative,
-        weights=problem.weights,
         seed=seed,
         cuts=dict(cuts or {}),
-        posterior=summary,
-        warnings=tuple(warnings),
-        diagnostics={
-            "evaluations": optimum.evaluations,
-            "history": list(problem.samples.history),
-            **diagnostics,
-            "priors": {q.name: [q.to_file(q.lower), q.to_file(q.upper)] for q in problem.parameters}
-            if posterior
-            else None,
-        },
-        parts=found.parts,
-        sharing=found.sharing,
-        nuisance=shared_errors,
         engine=engine,
         loss=loss,
-        memory=InMemory(chosen, problem, optimum.p, scale, seed, chain),
-        **provenance(problem.samples),
+        memory=InMemory(
+            chosen, minimum.problem, minimum.optimum.p, minimum.noise_scale, seed, chain
+        ),
+        **_stated(minimum),
+        **_inferred(minimum, chain, None if draws is None else str(draws), chosen.note),
+        **provenance(minimum.problem.samples),
     )
+
+
+def _stated(minimum: Minimum) -> dict[str, Any]:
+    """The fields of a result that the minimum itself states."""
+    problem = minimum.problem
+    return {
+        "status": minimum.status,
+        "chi2": minimum.chi2,
+        "dof": minimum.dof,
+        "noise_scale": minimum.noise_scale,
+        "n_samples": problem.n,
+        "n_negative": problem.samples.n_negative,
+        "weights": problem.weights,
+        "parts": minimum.parts,
+        "sharing": minimum.sharing,
+    }
+
+
+def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str) -> dict[str, Any]:
+    """Estimates, covariance, posterior, diagnostics, and the warnings that come with them.
+
+    Parameters
+    ----------
+    minimum : Minimum
+    chain : Chain or None
+        Draws of the posterior, whose quantiles become the intervals.
+    file : str or None
+        Where the draws were written.
+    note : str
+        What the model says of every fit, "" for nothing.
+    """
+    problem = minimum.problem
+    errors, undetected = uncertainties(minimum)
+    estimates, bound_warnings = estimated(minimum, errors)
+    # What residuals should look like is known for chi-squared alone.
+    diagnostics, residual_warnings = diagnose(minimum) if problem.quadratic else ({}, [])
+    shared_errors = nuisance_estimates(minimum)
+    warnings = warnings_of(minimum, errors) + minimum.warnings
+    warnings += condensed(undetected + bound_warnings)
+    warnings += residual_warnings + pull_warnings(shared_errors)
+    summary = priors = None
+    if chain is not None:
+        summary = chain.summary(problem.parameters, file)
+        estimates = with_quantiles(problem.parameters, estimates, chain.draws)
+        priors = {q.name: [q.to_file(q.lower), q.to_file(q.upper)] for q in problem.parameters}
+        warnings += _convergence_warnings(chain, summary) + chain.warnings
+    return {
+        "parameters": all_estimates(problem.reported, estimates),
+        "covariance": None
+        if noiseless(minimum)
+        else all_covariances(problem.reported, covariance(errors)),
+        "posterior": summary,
+        "nuisance": shared_errors,
+        "warnings": tuple(warnings + ([note] if note else [])),
+        "diagnostics": {
+            "evaluations": minimum.optimum.evaluations,
+            "history": list(problem.samples.history),
+            **diagnostics,
+            "priors": priors,
+        },
+    }
+
+
+def _convergence_warnings(chain: Chain, summary: PosteriorSummary) -> list[str]:
+    """What a user must know of a posterior that has not converged."""
+    if chain.converged:
+        return []
+    return [
+        f"the posterior has not converged (R-hat {summary.r_hat:.3f}, "
+        f"{chain.n_steps} steps, tau {summary.tau:.0f}, effective draws "
+        f"{summary.ess:.0f} in the bulk and {summary.ess_tail:.0f} in the tails): its "
+        "intervals are provisional."
+    ]
 
 
 def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -> None:

@@ -45,8 +45,8 @@ class InMemory:
 
     def part(self, index: int) -> InMemory:
         """One part of a joint fit; its draws stay with the whole."""
-        piece, _, place = self.problem.independent.pieces()[index]
-        return InMemory(self.model, piece, self.p[place], self.noise_scale, self.seed)
+        piece, _, columns = self.problem.independent.pieces()[index]
+        return InMemory(self.model, piece, self.p[columns], self.noise_scale, self.seed)
 
     def inference_data(self, *, log_likelihood: bool) -> Any:
         """The draws as arviz takes them; None where no posterior was sampled."""

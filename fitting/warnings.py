@@ -7,7 +7,7 @@ import re
 from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.uncertainty import covariance as uncertainty
 
-ONE_BY_ONE = 3  # warnings that parts of a joint fit give alike, told one by one
+ONE_BY_ONE = 3  # warnings that parts of a joint fit have in common, listed one by one
 
 
 def warnings_of(found: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
@@ -43,16 +43,18 @@ def warnings_of(found: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
 
 
 def condensed(lines: list[str]) -> list[str]:
-    """Warnings that more than a few parts of a joint fit give alike, as one line each."""
+    """Warnings that more than a few parts of a joint fit have in common, as one line each."""
     groups: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for line in lines:
         match = re.match(r"(\w+)\[(.+?)\] ([^(:]+?) ?[(:]", line)
         key = (match[1], match[3]) if match else ("", line)
         groups.setdefault(key, []).append((match[2] if match else "", line))
-    told = []
+    merged_lines = []
     for (name, what), items in groups.items():
         if len(items) <= ONE_BY_ONE:
-            told += [line for _, line in items]
+            merged_lines += [line for _, line in items]
         else:
-            told.append(f"{name} {what} in {len(items)} parts: {', '.join(p for p, _ in items)}.")
-    return told
+            merged_lines.append(
+                f"{name} {what} in {len(items)} parts: {', '.join(p for p, _ in items)}."
+            )
+    return merged_lines

@@ -17,6 +17,13 @@ from gonio.session import Session, read_truth
 FILES = Path(__file__).parent / "data_0_1"
 
 
+def with_keys_of_today(written):
+    """The document with the one key that has another name since 0.2."""
+    identifiability = written["diagnostics"]["identifiability"]
+    identifiability["suggested_measurement"] = identifiability.pop("mending")
+    return written
+
+
 def test_a_fit_of_0_1_comes_back_in_radians():
     result = FitResult.load(FILES / "fit.json")
     written = json.loads((FILES / "fit.json").read_text(encoding="utf-8"))
@@ -28,7 +35,7 @@ def test_a_fit_of_0_1_comes_back_in_radians():
     assert sigma.interval_95 == pytest.approx(np.radians(entry["interval_95"]), rel=3e-16)
     u = [estimate.stderr for estimate in result.parameters.values()]
     np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), u, rtol=1e-12)
-    assert result.to_dict() == written
+    assert result.to_dict() == with_keys_of_today(written)
 
 
 def test_a_joint_fit_of_0_1_comes_back():
@@ -37,7 +44,7 @@ def test_a_joint_fit_of_0_1_comes_back():
     alone = written["parts"][0]["alone"]["sigma"]
     assert result.parts[0].alone["sigma"] == pytest.approx(np.radians(alone), rel=3e-16)
     assert set(result.part("red").values()) == {"rho", "sigma"}
-    assert result.to_dict() == written
+    assert result.to_dict() == with_keys_of_today(written)
 
 
 def test_samples_of_0_1_are_fitted_to_what_0_1_found():

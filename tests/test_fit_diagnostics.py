@@ -10,7 +10,7 @@ import pytest
 import gonio
 from gonio import models
 from gonio.fitting.diagnostics import identifiability as identify
-from gonio.fitting.diagnostics import next_measurement as mending
+from gonio.fitting.diagnostics import next_measurement
 from gonio.fitting.diagnostics import residual_report as residuals
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.minimise import minimise
@@ -78,12 +78,12 @@ def test_one_plane_exchanges_the_amplitude_and_the_width_across():
 def test_the_measurement_that_is_named_mends_it():
     one = noisy("ward", WARD, plane())
     found = identified(one, "ward")
-    told = found.mending
-    assert told is not None
-    assert told.text in found.warnings[-1]
-    kind = next(k for k, words in mending.PATTERNS.items() if words == told.pattern)
-    theta_i, phi_i = np.radians([told.theta_i_deg, told.rotation_deg])
-    theta_r, phi_r = mending.unit_directions(theta_i, phi_i, kind)
+    suggested = found.suggested_measurement
+    assert suggested is not None
+    assert suggested.text in found.warnings[-1]
+    kind = next(k for k, words in next_measurement.PATTERNS.items() if words == suggested.pattern)
+    theta_i, phi_i = np.radians([suggested.theta_i_deg, suggested.rotation_deg])
+    theta_r, phi_r = next_measurement.unit_directions(theta_i, phi_i, kind)
     both = Directions(
         np.r_[np.full(120, 0.5), np.full(len(theta_r), theta_i)],
         np.r_[np.zeros(120), np.full(len(theta_r), phi_i)],
@@ -103,8 +103,8 @@ def test_normal_incidence_exchanges_rho_and_sigma():
     found = identified(noisy("oren_nayar", {"rho": 0.3, "sigma": 0.4}, where), "oren_nayar")
     # At theta_i = 0 the model is rho A(sigma)/pi, one number for all viewing directions.
     assert found.not_identified == ("rho", "sigma")
-    assert found.mending is not None
-    assert found.mending.theta_i_deg > 0
+    assert found.suggested_measurement is not None
+    assert found.suggested_measurement.theta_i_deg > 0
 
 
 def test_a_width_without_a_lobe_waits_for_the_lobe():
@@ -118,7 +118,7 @@ def test_a_width_without_a_lobe_waits_for_the_lobe():
     assert found.optimum.p[1] == 0
     assert report.not_identified == ("alpha_x", "alpha_y")
     assert report.causes[0].startswith("alpha_x has no effect while rho_s is at its bound 0: ")
-    assert report.mending is None
+    assert report.suggested_measurement is None
 
 
 def test_two_terms_of_one_shape_are_named():
@@ -130,7 +130,7 @@ def test_two_terms_of_one_shape_are_named():
     assert found.causes == (
         f"{first} and {second} scale the same shape in these data: only their sum is determined.",
     )
-    assert found.mending is None  # nothing can
+    assert found.suggested_measurement is None  # nothing can
 
 
 def test_everything_is_identified_where_the_hemisphere_was_seen():

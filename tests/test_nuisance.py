@@ -435,7 +435,7 @@ def test_unknown_names(names, message):
 
 def test_samples_without_shared_errors():
     samples = replace(measured(n=120)[0], shared=())
-    with pytest.raises(ConfigurationError, match="state no shared errors that a fit could learn"):
+    with pytest.raises(ConfigurationError, match="state no shared errors that a fit could profile"):
         gonio.fit(samples, model="ward", nuisance="all")
     assert gonio.fit(samples, model="ward", nuisance="none").nuisance == ()
 
@@ -464,7 +464,7 @@ def test_a_typical_shape_is_not_learnt():
         with pytest.raises(
             ConfigurationError,
             match=f"the shared error '{name}' stands for errors of many shapes by a typical one: "
-            "it is propagated and cannot be learnt; others can: standard; azimuth",
+            "it is propagated and cannot be profiled; others can: standard; azimuth",
         ):
             profiled_terms(samples, [name])
     # It is propagated through the fit with the others learnt.
@@ -611,7 +611,7 @@ def test_the_command_line_tells_what_was_learnt(tmp_path, capsys):
         cli.main(["fit", str(path), "--model", "ward", "--nuisance", "standard,azimuth"])
     out = capsys.readouterr().out
     assert left.value.code == 0
-    assert "shared errors learnt, in units of their stated standard uncertainty" in out
+    assert "profiled shared errors, in units of their stated standard uncertainty" in out
     assert "  standard " in out
     assert "  azimuth " in out
     assert "  lamp " not in out

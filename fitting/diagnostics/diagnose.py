@@ -1,4 +1,4 @@
-"""What every fit is told about itself: identifiability, residuals, and copies among its samples."""
+"""Diagnostics of every fit: identifiability, residuals, and copies among its samples."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def diagnose(minimum: Minimum) -> tuple[dict[str, Any], list[str]]:
     """
     problem = minimum.problem
     identified = identify(minimum)
-    reports = [_of_piece(minimum, piece, place) for piece, _, place in problem.pieces()]
+    reports = [_of_piece(minimum, piece, index) for piece, _, index in problem.pieces()]
     warnings = copies_warning(problem.samples) + identified.warnings
     if len(reports) == 1:
-        told: Any = reports[0].to_dict()
+        residuals: Any = reports[0].to_dict()
         warnings += reports[0].warnings
     else:
-        told = {"parts": [report.to_dict() for report in reports]}
+        residuals = {"parts": [report.to_dict() for report in reports]}
         bad = [k + 1 for k, report in enumerate(reports) if report.warnings]
         if bad:
             first = reports[bad[0] - 1].warnings[0]
@@ -41,16 +41,16 @@ def diagnose(minimum: Minimum) -> tuple[dict[str, Any], list[str]]:
                 f"the residuals of {len(bad)} of {len(reports)} parts are not noise, of part "
                 f"{bad[0]} first: {first}"
             )
-    return {"identifiability": identified.to_dict(), "residuals": told}, warnings
+    return {"identifiability": identified.to_dict(), "residuals": residuals}, warnings
 
 
-def _of_piece(minimum: Minimum, piece: Problem, place: NDArray[np.int64]) -> ResidualReport:
+def _of_piece(minimum: Minimum, piece: Problem, index: NDArray[np.int64]) -> ResidualReport:
     optimum = minimum.optimum
     own = replace(
         optimum,
-        p=optimum.p[place],
-        gradient=optimum.gradient[place],
-        curvature=optimum.curvature[np.ix_(place, place)],
-        free=optimum.free[place],
+        p=optimum.p[index],
+        gradient=optimum.gradient[index],
+        curvature=optimum.curvature[np.ix_(index, index)],
+        free=optimum.free[index],
     )
     return examine(minimum.at(piece, own))

@@ -42,15 +42,15 @@ def causes_of(
     names = [q.name for q in problem.parameters]
     why = facts(problem)
     because = f" ({'; '.join(why)})" if why else ""
-    told = []
+    causes = []
     for k in sorted(missing - set(seen.tolist())):
-        told.append(_without_effect(problem, optimum, k))
+        causes.append(_without_effect(problem, optimum, k))
     for k in np.flatnonzero(~optimum.free & (np.diag(optimum.curvature) <= 0)).tolist():
-        told.append(_flat_at_bound(problem, optimum, k))
+        causes.append(_flat_at_bound(problem, optimum, k))
     for value, vector in zip(values, vectors.T, strict=True):
         parts = seen[np.abs(vector) > TAKES_PART]
         if value < UNDETERMINED:
-            told.append(_exchange(problem, optimum, parts, seen, vector / scale) + because + ".")
+            causes.append(_exchange(problem, optimum, parts, seen, vector / scale) + because + ".")
     if hard:
         words = _listed([names[k] for k in sorted(hard)])
         weakest = next(
@@ -58,8 +58,10 @@ def causes_of(
         )
         others = [names[m] for m in seen[np.abs(weakest) > TAKES_PART] if m not in hard]
         by = f"{_listed(others)} can take the place" if others else "one can take another's place"
-        told.append(f"{words} {'are' if len(hard) > 1 else 'is'} hardly determined: {by}{because}.")
-    return told
+        causes.append(
+            f"{words} {'are' if len(hard) > 1 else 'is'} hardly determined: {by}{because}."
+        )
+    return causes
 
 
 def _exchange(

@@ -1,4 +1,4 @@
-"""What the data say of each parameter, what they cannot tell apart, and what would mend it."""
+"""What the data say of each parameter, what they cannot tell apart, and what to measure next."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gonio.fitting.diagnostics.exchanges import (
     depends_on,
     step_along,
 )
-from gonio.fitting.diagnostics.next_measurement import Mending, mend
+from gonio.fitting.diagnostics.next_measurement import SuggestedMeasurement, suggest_measurement
 from gonio.fitting.minimum import curvature
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
@@ -25,7 +25,7 @@ from gonio.fitting.uncertainty.information import information
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
 
-STRONG = 0.95  # correlation that is told
+STRONG = 0.95  # correlation that is reported
 INFLATED = 10.0  # growth of an uncertainty by exchange that makes it a weak one
 MOST = 20_000  # samples from which the bound is computed
 
@@ -72,7 +72,7 @@ class Identifiability:
         Pairs with a correlation beyond 0.95, strongest first.
     causes : tuple of str
         One sentence for each thing that is not identified.
-    mending : Mending or None
+    suggested_measurement : SuggestedMeasurement or None
         The measurement that would help most.
     """
 
@@ -85,7 +85,7 @@ class Identifiability:
     hardly_identified: tuple[str, ...]
     correlated: tuple[tuple[str, str, float], ...]
     causes: tuple[str, ...]
-    mending: Mending | None
+    suggested_measurement: SuggestedMeasurement | None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a JSON document."""
@@ -96,10 +96,10 @@ class Identifiability:
         """What a reader must know; nothing where everything is identified."""
         if not (self.not_identified or self.hardly_identified):
             return []
-        told = list(self.causes)
-        if self.mending is not None and told:
-            told[-1] += f" {self.mending.text}"
-        return told
+        sentences = list(self.causes)
+        if self.suggested_measurement is not None and sentences:
+            sentences[-1] += f" {self.suggested_measurement.text}"
+        return sentences
 
 
 def identify(minimum: Minimum) -> Identifiability:
@@ -147,7 +147,7 @@ def identify(minimum: Minimum) -> Identifiability:
     if not curable and pairs:
         order = [q.name for q in parameters]
         curable = sorted({order.index(name) for a, b, _ in pairs for name in (a, b)})
-    mending = mend(minimum, curable) if curable else None
+    suggested = suggest_measurement(minimum, curable) if curable else None
     names = tuple(parameters[k].name for k in range(len(parameters)))
     return Identifiability(
         parameters=tuple(names[k] for k in free),
@@ -162,7 +162,7 @@ def identify(minimum: Minimum) -> Identifiability:
         hardly_identified=tuple(names[k] for k in sorted(hard)),
         correlated=pairs,
         causes=tuple(causes),
-        mending=mending,
+        suggested_measurement=suggested,
     )
 
 
@@ -195,7 +195,7 @@ def _correlation(
     problem: Problem, h: FloatArray, free: NDArray[np.int64], missing: set[int]
 ) -> tuple[list[list[float | None]], tuple[tuple[str, str, float], ...]]:
     index = _known(free, missing)
-    place = {int(k): n for n, k in enumerate(index)}
+    row_of = {int(k): n for n, k in enumerate(index)}
     r = np.eye(0)
     if len(index):
         inverse = curvature.inverse(h, index)
@@ -203,17 +203,17 @@ def _correlation(
         r = np.clip(inverse / np.outer(sd, sd), -1, 1)
 
     def of(a: int, b: int) -> float | None:
-        if a not in place or b not in place:
+        if a not in row_of or b not in row_of:
             return None
-        return round(float(r[place[a], place[b]]), 6)
+        return round(float(r[row_of[a], row_of[b]]), 6)
 
     rows = [[of(int(a), int(b)) for b in free] for a in free]
     names = [q.name for q in problem.parameters]
     pairs = [
-        (names[a], names[b], round(float(r[place[a], place[b]]), 6))
-        for a in place
-        for b in place
-        if a < b and abs(r[place[a], place[b]]) > STRONG
+        (names[a], names[b], round(float(r[row_of[a], row_of[b]]), 6))
+        for a in row_of
+        for b in row_of
+        if a < b and abs(r[row_of[a], row_of[b]]) > STRONG
     ]
     return rows, tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
 

@@ -29,8 +29,8 @@ _MISSING = 100.0  # what a parameter without information adds to a merit
 
 
 @dataclass(frozen=True)
-class Mending:
-    """A measurement that would mend what the data leave open.
+class SuggestedMeasurement:
+    """A measurement that would determine what the data do not.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Mending:
     text: str
 
 
-def mend(minimum: Minimum, wanted: list[int]) -> Mending | None:
+def suggest_measurement(minimum: Minimum, wanted: list[int]) -> SuggestedMeasurement | None:
     """The best single measurement for the wanted parameters; None if none tells of them all.
 
     Parameters
@@ -93,17 +93,17 @@ def mend(minimum: Minimum, wanted: list[int]) -> Mending | None:
             best = (merit, k, found)
     if best is None or not np.all(np.isfinite(best[2][wanted])):
         return None
-    return _told(problem, kinds[best[1]], best[2], wanted, known=noise_scale > 0)
+    return _suggestion(problem, kinds[best[1]], best[2], wanted, known=noise_scale > 0)
 
 
-def _told(
+def _suggestion(
     problem: Problem,
     kind: tuple[float, float, str],
     found: FloatArray,
     wanted: list[int],
     *,
     known: bool,
-) -> Mending:
+) -> SuggestedMeasurement:
     theta_i, rotation, pattern = kind
     expected = {
         q.name: q.to_file(float(u)) if known and np.isfinite(u) else None
@@ -119,7 +119,7 @@ def _told(
             unit = f" {q.file_unit}" if q.file_unit else ""
             shown.append(f"{q.name} to {u:.2g}{unit}")
     text += f": {N} samples as good as these would give {', '.join(shown)}." if shown else "."
-    return Mending(
+    return SuggestedMeasurement(
         round(float(np.degrees(theta_i)), 6), round(float(np.degrees(rotation)), 6),
         PATTERNS[pattern], N, expected, text,
     )  # fmt: skip
@@ -191,16 +191,16 @@ def facts(problem: Problem) -> list[str]:
     theta_i, phi_i, theta_r, phi_r = (
         np.broadcast_to(a, (n,)) for a in (d.theta_i, d.phi_i, d.theta_r, d.phi_r)
     )
-    told = []
+    gaps = []
     if np.ptp(theta_i) < np.radians(0.5):
-        told.append(f"a single angle of incidence, {np.degrees(theta_i[0]):.3g} deg")
+        gaps.append(f"a single angle of incidence, {np.degrees(theta_i[0]):.3g} deg")
     off = np.sin(theta_r) * np.sin(phi_r - phi_i) * (theta_i > 0.01)
     across = np.sin(theta_i) * np.sin(phi_i - phi_i[0])
     if np.max(np.abs(off)) < 0.01 and np.max(np.abs(across)) < 0.01 and np.any(theta_i > 0.01):
-        told.append(f"only one plane was measured, phi = {np.degrees(phi_i[0]) % 180:.3g} deg")
+        gaps.append(f"only one plane was measured, phi = {np.degrees(phi_i[0]) % 180:.3g} deg")
     mirror = unit_vectors(theta_i, phi_i + np.pi)
     nearest = float(np.max(np.sum(mirror * unit_vectors(theta_r, phi_r), axis=-1)))
     if nearest < np.cos(np.radians(10.0)):
         gap = np.degrees(np.arccos(np.clip(nearest, -1, 1)))
-        told.append(f"no sample within {gap:.0f} deg of the mirror direction")
-    return told
+        gaps.append(f"no sample within {gap:.0f} deg of the mirror direction")
+    return gaps

@@ -52,14 +52,14 @@ def _part_fits(
     found = []
     own = [q.name != base_name(q.name) for q in problem.parameters]
     pieces = zip(problem.pieces(), problem.scales, channels, alone, strict=True)
-    for k, ((part, _, place), factor, channel, pairs) in enumerate(pieces):
-        n_own = sum(int(own[j] and optimum.free[j]) for j in place)
+    for k, ((part, _, index), factor, channel, pairs) in enumerate(pieces):
+        n_own = sum(int(own[j] and optimum.free[j]) for j in index)
         found.append(
             PartFit(
                 name=channel.label,
                 parameters=problem.names_of_part(k),
                 alone=pairs,
-                chi2=_chi2(part, optimum.p[place], factor),
+                chi2=_chi2(part, optimum.p[index], factor),
                 dof=part.n - n_own,
                 noise_scale=factor * scale,
                 n_samples=part.n,

@@ -41,10 +41,10 @@ from gonio.fitting.residual_tests.whitened import (
 )
 from gonio.fitting.result import plain
 
-ALARM = 0.01  # share of right models in which structure is told
+ALARM = 0.01  # share of right models in which structure is reported
 MOST = 20_000  # samples that are examined: enough for any structure that matters
 DOMINATES = 0.5  # share of the residual variance above which the model makes the residuals
-PLACES = 3  # that are told
+PLACES = 3  # that are reported
 
 
 @dataclass(frozen=True)
@@ -149,13 +149,13 @@ class ResidualReport:
     @property
     def warnings(self) -> list[str]:
         """What a reader must know; nothing where noise explains the residuals."""
-        told = []
+        sentences = []
         if self.structured and not self.covered:
             where = "; ".join(_said(place) for place in self.places)
             cause = "the model, not the noise, dominates: its error makes"
             if self.model_share < DOMINATES:
                 cause = "the model does not hold everywhere: its error makes"
-            told.append(
+            sentences.append(
                 f"{cause} {100 * self.model_share:.0f} % of the residual variance (structure of "
                 f"the residuals, {_p(self.p_structure)})"
                 + (f"; it is {where}" if where else "")
@@ -165,7 +165,7 @@ class ResidualReport:
         if self.verdict == "too small":
             assert self.chi2 is not None
             assert self.dof
-            told.append(
+            sentences.append(
                 f"chi2/dof is {self.chi2 / self.dof:.3g}, too small for the stated noise "
                 f"({_p(self.p_chi2 or 0.0)}): u_brdf is too large, or the samples were "
                 "smoothed or are not independent."
@@ -173,12 +173,12 @@ class ResidualReport:
         elif self.verdict == "too large" and not self.structured:
             assert self.chi2 is not None
             assert self.dof
-            told.append(
+            sentences.append(
                 f"chi2/dof is {self.chi2 / self.dof:.3g}, too large for the stated noise "
                 f"({_p(self.p_chi2 or 0.0)}), and the residuals have no structure: u_brdf is "
                 "probably too small."
             )
-        return told
+        return sentences
 
 
 def examine(minimum: Minimum) -> ResidualReport:

@@ -1,4 +1,4 @@
-"""The least-squares minimum of a model: searched, settled, compared with rivals, and how good."""
+"""The least-squares minimum of a model: search, reweighting, rival minima, goodness of fit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.minimum.minimise import Engine, at_lower, minima, minimise
 from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.record import Minimum, goodness
-from gonio.fitting.minimum.rivals import place, rival
+from gonio.fitting.minimum.rivals import parameter_text, rival
 from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.copies import usable
 from gonio.fitting.problem.losses import CHI2
@@ -61,25 +61,25 @@ def _find(
             found = [given]
         elif given.verified:
             warnings.append(
-                f"the start led to another minimum, at {place(problem, given)}, where chi2 is "
-                f"{given.chi2 / max(found[0].chi2, 1e-300):.3g} times that of the minimum that was "
-                "taken."
+                f"the start led to another minimum, at {parameter_text(problem, given)}, "
+                f"where chi2 is {given.chi2 / max(found[0].chi2, 1e-300):.3g} times that of the "
+                "minimum that was taken."
             )
-    problem, optimum = settled(problem, found[0])
+    problem, optimum = reweighted_minimum(problem, found[0])
     for other in found[1:]:
         if problem.weights_follow_model:
             other = minimise(problem, other.p, search=False)
         deepest = better(optimum, other)
         warnings += rival(problem, deepest, optimum if deepest is other else other)
         if deepest is other:
-            problem, optimum = settled(problem, other)
+            problem, optimum = reweighted_minimum(problem, other)
     if not optimum.verified:
-        optimum, told = without_spikes(problem, optimum)
-        warnings = told or warnings
+        optimum, spikes = without_spikes(problem, optimum)
+        warnings = spikes or warnings
     return problem, optimum, warnings
 
 
-def settled(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
+def reweighted_minimum(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     """Weights from the model's values need the model first: a few rounds settle them."""
     if problem.weights_follow_model:
         for _ in range(SCALE_ROUNDS if problem.finds_scale else 2):

@@ -81,7 +81,7 @@ def _polish(problem: Problem, start: FloatArray | _State, evaluations: int) -> O
         state = start if isinstance(start, _State) else _marquardt(problem, start)
         if state is not start:
             evaluations += state.evaluations
-        optimum = _settled(state, evaluations)
+        optimum = _at_rest(state, evaluations)
         deeper, n = _deeper_nearby(state, optimum)
         evaluations += n
         if deeper is None:
@@ -113,7 +113,7 @@ def _marquardt(problem: Problem, p: FloatArray) -> _State:
     return state
 
 
-def _settled(state: _State, evaluations: int) -> Optimum:
+def _at_rest(state: _State, evaluations: int) -> Optimum:
     """The state with what is a hair from a bound put on it, and whether its step is negligible."""
     _snap(state)
     _leave_chance_bounds(state)

@@ -100,8 +100,8 @@ def find_joint_minimum(
     problem, optimum, warnings = _find(problem, alone, start)
     faults = [
         problem.names_of_part(k)[name]
-        for k, (part, _, place) in enumerate(problem.pieces())
-        for name in gradient_faults(part, optimum.p[place])
+        for k, (part, _, index) in enumerate(problem.pieces())
+        for name in gradient_faults(part, optimum.p[index])
     ]
     whole = Minimum.of(problem, optimum, warnings=warnings, faults=list(dict.fromkeys(faults)))
     return JointMinimum(problem, whole, tuple(alone), tuple(channels))
@@ -160,7 +160,7 @@ def _find(
         candidates = [problem.vector(start)]
     else:
         candidates = joint_starts(problem, alone)
-    problem, optimum = _settled(problem, minimise(problem, candidates[0], search=False))
+    problem, optimum = _reweighted_minimum(problem, minimise(problem, candidates[0], search=False))
     warnings: list[str] = []
     for candidate in candidates[1:]:
         other = minimise(problem, candidate, search=False)
@@ -169,14 +169,14 @@ def _find(
             warnings += rival(problem, optimum, other)
         else:
             warnings = rival(problem, other, optimum)
-            problem, optimum = _settled(problem, other)
+            problem, optimum = _reweighted_minimum(problem, other)
     if not optimum.verified:
-        optimum, told = without_spikes(problem, optimum)
-        warnings = told or warnings
+        optimum, spikes = without_spikes(problem, optimum)
+        warnings = spikes or warnings
     return problem, optimum, warnings
 
 
-def _settled(problem: JointProblem, optimum: Optimum) -> tuple[JointProblem, Optimum]:
+def _reweighted_minimum(problem: JointProblem, optimum: Optimum) -> tuple[JointProblem, Optimum]:
     """Weights taken at the model's values, as in a fit of one BRDF."""
     if problem.weights_follow_model:
         for _ in range(2):

@@ -58,11 +58,11 @@ def _agreed(problem: JointProblem, alone: Sequence[Minimum]) -> FloatArray:
     n_p = len(problem.parameters)
     h, g = np.zeros((n_p, n_p)), np.zeros(n_p)
     fallback = np.zeros(n_p)
-    for minimum, place, scale in zip(alone, problem.places, problem.scales, strict=True):
+    for minimum, columns, scale in zip(alone, problem.indices, problem.scales, strict=True):
         own = minimum.optimum.curvature / scale**2
-        h[np.ix_(place, place)] += own
-        g[place] += own @ minimum.optimum.p
-        fallback[place] = minimum.optimum.p
+        h[np.ix_(columns, columns)] += own
+        g[columns] += own @ minimum.optimum.p
+        fallback[columns] = minimum.optimum.p
     known = np.diag(h) > 0
     unit = np.where(known, 1 / np.sqrt(np.where(known, np.diag(h), 1.0)), 0.0)
     mean = unit * (np.linalg.pinv(h * np.outer(unit, unit), rcond=UNDETERMINED) @ (unit * g))
@@ -80,17 +80,17 @@ def _amplitudes_solved(problem: JointProblem, p: FloatArray) -> tuple[float, Flo
     """chi2 and the point with each part's own linear parameters at their best: parts separate."""
     total, solved = 0.0, p.copy()
     names = [q.name for q in problem.parameters]
-    for part, _, place in problem.pieces():
+    for part, _, columns in problem.pieces():
         own = [
             k
-            for k, j in enumerate(place)
+            for k, j in enumerate(columns)
             if problem.parameters[j].linear and names[j] != base_name(names[j])
         ]
-        chi2, g, h = part.normal_equations(p[place])
+        chi2, g, h = part.normal_equations(p[columns])
         step = np.linalg.pinv(h[np.ix_(own, own)], rcond=UNDETERMINED) @ g[own]
-        ends = [problem.parameters[j] for j in place[own]]
-        new = np.clip(p[place[own]] + step, [q.lower for q in ends], [q.upper for q in ends])
-        d = new - p[place[own]]
+        ends = [problem.parameters[j] for j in columns[own]]
+        new = np.clip(p[columns[own]] + step, [q.lower for q in ends], [q.upper for q in ends])
+        d = new - p[columns[own]]
         total += float(chi2 - 2 * g[own] @ d + d @ h[np.ix_(own, own)] @ d)
-        solved[place[own]] = new
+        solved[columns[own]] = new
     return total, solved

@@ -13,7 +13,7 @@ from gonio.fitting.minimum.record import Minimum, goodness
 from gonio.fitting.problem.nuisance import NuisanceProblem
 
 ROUNDS = 12  # of new weights, draws and parameters
-SETTLED = 1e-3  # of the uncertainties: a last round that moves less ends them
+CONVERGED = 1e-3  # of the uncertainties: a last round that moves less ends them
 
 
 def profiled(minimum: Minimum, names: tuple[str, ...]) -> Minimum:
@@ -46,11 +46,11 @@ def _alternated(
         optimum = minimise(problem, before, near=True)
         evaluations += optimum.evaluations
         step = optimum.p - before
-        still = float(step @ optimum.curvature @ step) <= (SETTLED * problem.noise) ** 2
-        if still and np.all(np.abs(problem.draws(optimum.p) - problem.z0) <= SETTLED):
+        still = float(step @ optimum.curvature @ step) <= (CONVERGED * problem.noise) ** 2
+        if still and np.all(np.abs(problem.draws(optimum.p) - problem.z0) <= CONVERGED):
             return problem, replace(optimum, evaluations=evaluations), []
     text = (
-        f"the shared errors that were learnt have not settled in {ROUNDS} rounds: they are too "
-        "large for this model, or it is the wrong one."
+        f"the profiled shared errors have not converged in {ROUNDS} rounds: they are too large "
+        "for this model, or the model is wrong."
     )
     return problem, replace(optimum, evaluations=evaluations), [text]

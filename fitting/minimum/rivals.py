@@ -18,10 +18,12 @@ def rival(problem: Problem, optimum: Optimum, other: Optimum) -> list[str]:
     apart = apart and bool(np.all(np.diag(optimum.curvature) > 0))
     if not (apart and other.verified and other.chi2 - optimum.chi2 < CHI2_95 * noise**2):
         return []
-    return [f"the data hardly prefer this minimum to another one at {place(problem, other)}."]
+    return [
+        f"the data hardly prefer this minimum to another one at {parameter_text(problem, other)}."
+    ]
 
 
-def place(problem: Problem, optimum: Optimum) -> str:
+def parameter_text(problem: Problem, optimum: Optimum) -> str:
     """Parameters at a minimum, in file units, as text."""
     return ", ".join(
         f"{q.name} = {q.to_file(float(v)):.4g}"

@@ -9,10 +9,10 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.fitting.minimum.derivative_check import gradient_faults
-from gonio.fitting.minimum.find import settled
+from gonio.fitting.minimum.find import reweighted_minimum
 from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.minimum.record import Minimum
-from gonio.fitting.minimum.rivals import place
+from gonio.fitting.minimum.rivals import parameter_text
 from gonio.fitting.posterior import sample as posteriors
 from gonio.fitting.posterior.chain import Chain, Progress, Sampler
 from gonio.fitting.posterior.priors import Prior, resolve
@@ -65,14 +65,14 @@ def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
     if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * found.noise_scale**2:
         return None
     if found.parts or problem.profiled:
-        told = "the posterior holds a deeper minimum, which the search did not find."
+        warning = "the posterior holds a deeper minimum, which the search did not find."
         return replace(
-            found, optimum=replace(optimum, verified=False), warnings=[*found.warnings, told]
+            found, optimum=replace(optimum, verified=False), warnings=[*found.warnings, warning]
         )
-    problem, other = settled(problem, other)
-    told = (
-        f"the search found a minimum at {place(problem, optimum)}; the posterior led to a deeper "
-        "one, which was taken."
+    problem, other = reweighted_minimum(problem, other)
+    warning = (
+        f"the search found a minimum at {parameter_text(problem, optimum)}; the posterior "
+        "led to a deeper one, which was taken."
     )
     faults = gradient_faults(problem, other.p)
-    return Minimum.of(problem, other, warnings=[told], faults=faults)
+    return Minimum.of(problem, other, warnings=[warning], faults=faults)

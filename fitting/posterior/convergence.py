@@ -29,7 +29,7 @@ class Convergence:
     Parameters
     ----------
     tau : float
-        Longest integrated autocorrelation time, steps; infinite where it cannot be told.
+        Longest integrated autocorrelation time, steps; infinite where it cannot be estimated.
     r_hat : float
         Largest rank-normalised split R-hat, of the values and of their distance from the median.
     ess_bulk, ess_tail : float
@@ -173,7 +173,7 @@ def _ess(chains: FloatArray) -> FloatArray:
     total = n_chains * n
     # The bound keeps chains that alternate from promising too much.
     ess = [total / max(_geyer(column), 1 / np.log10(total)) for column in rho.T]
-    # A variable that does not move has told nothing.
+    # A variable that does not move carries no information.
     return np.where(plus > 0, ess, 0.0)
 
 

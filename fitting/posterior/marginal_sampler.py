@@ -31,7 +31,7 @@ GOOD_K_HAT = 0.0  # and above this
 MIN_ACCEPTANCE = 0.2  # below this the draws are not used
 MAX_K_HAT = 0.5
 MAX_DISAGREEMENT = 4.0  # standard errors between the evidence of the pilot and of the run
-SPREAD_ERROR = 0.03  # of a standard deviation: its standard error, told by the importance weights
+SPREAD_ERROR = 0.03  # of a standard deviation: its standard error, by the importance weights
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def sample(target: Target, covariance: FloatArray, rng: np.random.Generator) -> 
     if len(target.sampled) == 0:
         return _amplitudes_alone(target, rng)
     proposal, evidence = pilot(target, covariance, rng)
-    proposal, seen, state = _settled(target, proposal, STEPS, rng)
+    proposal, seen, state = _adapted(target, proposal, STEPS, rng)
     while True:
         k = convergence.k_hat(seen.log_weight)
         acceptance = _acceptance(state)
@@ -102,12 +102,12 @@ def sample(target: Target, covariance: FloatArray, rng: np.random.Generator) -> 
 
 
 def explored(target: Target, covariance: FloatArray, rng: np.random.Generator) -> Proposal:
-    """The proposal that the sampler would settle on."""
+    """The proposal that the sampler ends with."""
     proposal, _ = pilot(target, covariance, rng)
-    return _settled(target, proposal, EXPLORED, rng)[0]
+    return _adapted(target, proposal, EXPLORED, rng)[0]
 
 
-def _settled(
+def _adapted(
     target: Target, proposal: Proposal, steps: int, rng: np.random.Generator
 ) -> tuple[Proposal, Weighted, NDArray[np.int64]]:
     """A proposal of which enough draws are accepted, with its draws and chains of them."""

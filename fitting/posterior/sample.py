@@ -1,7 +1,7 @@
 """The posterior of a fit: the marginal sampler where its guard lets it, emcee otherwise.
 
-The likelihood holds the independent errors. Errors that the samples share are not learnt from the
-data: each draw is moved by a random draw of every shared term, as GUM supplement 1 propagates
+The likelihood holds the independent errors. Errors that the samples share are not estimated from
+the data: each draw is moved by a random draw of every shared term, as GUM supplement 1 propagates
 them. Priors are those of `gonio.fitting.posterior.priors`, flat between the bounds where none is
 declared. Both samplers integrate over the amplitudes in closed form
 (`gonio.fitting.posterior.density`); emcee's walkers propose by

@@ -117,15 +117,15 @@ class Constraints:
         """
         free = [q for q in model.parameters if q.name not in self.fixed and q.name not in self.tied]
         unknowns = [self._joined(model, q) for q in free]
-        place = {q.name: j for j, q in enumerate(free)}
+        index = {q.name: j for j, q in enumerate(free)}
         source, values, reported = [], [], []
         for q in model.parameters:
             end = self.tied.get(q.name, q.name)
             fixed = self.fixed.get(end)
-            source.append(-1 if fixed is not None else place[end])
+            source.append(-1 if fixed is not None else index[end])
             values.append(0.0 if fixed is None else fixed)
             reported.append(
-                Reported(q, None if fixed is not None else place[end], fixed, self.tied.get(q.name))
+                Reported(q, None if fixed is not None else index[end], fixed, self.tied.get(q.name))
             )
         kernel = KernelParameters(np.array(source, np.int64), np.array(values))
         return self._within_sum(model, unknowns, kernel), kernel, tuple(reported)

@@ -38,7 +38,7 @@ class JointProblem:
     parts : tuple of Problem
         Each over one BRDF, with weights divided by the square of `scales`.
     labels : tuple of str
-    places : tuple of ndarray of int64
+    indices : tuple of ndarray of int64
         Where each part's unknowns stand among all.
     parameters : tuple of Parameter
     reported : tuple of Reported
@@ -51,7 +51,7 @@ class JointProblem:
     samples: BRDFSamples
     parts: tuple[Problem, ...]
     labels: tuple[str, ...]
-    places: tuple[NDArray[np.int64], ...]
+    indices: tuple[NDArray[np.int64], ...]
     parameters: tuple[Parameter, ...]
     reported: tuple[Reported, ...]
     scales: tuple[float, ...]
@@ -86,14 +86,14 @@ class JointProblem:
         for name in share:
             first.model.parameter(name)
         labels = tuple(channel.label for channel in channels)
-        parameters, places = _named_parameters(first, labels, share)
+        parameters, indices = _named_parameters(first, labels, share)
         joint = cls(
             samples=joined(channels),
             parts=tuple(problems),
             labels=labels,
-            places=places,
+            indices=indices,
             parameters=parameters,
-            reported=_reported(first, labels, parameters, places),
+            reported=_reported(first, labels, parameters, indices),
             scales=(1.0,) * len(labels),
             cells=joined_cells([problem.cells for problem in problems]),
         )
@@ -215,8 +215,8 @@ class JointProblem:
 
     def reweighted(self, p: FloatArray | None) -> JointProblem:
         parts = []
-        for part, place, scale in zip(self.parts, self.places, self.scales, strict=True):
-            new = part.reweighted(None if p is None else p[place])
+        for part, own_indices, scale in zip(self.parts, self.indices, self.scales, strict=True):
+            new = part.reweighted(None if p is None else p[own_indices])
             parts.append(new.with_weights(new.inverse_variance / scale**2))
         return replace(self, parts=tuple(parts))
 
@@ -231,7 +231,7 @@ class JointProblem:
         return replace(self, parts=parts)
 
     def pieces(self) -> list[tuple[Problem, slice, NDArray[np.int64]]]:
-        return list(zip(self.parts, self.slices, self.places, strict=True))
+        return list(zip(self.parts, self.slices, self.indices, strict=True))
 
     def around(self, p: FloatArray, h: FloatArray, j: int) -> tuple[Problem, NDArray[np.int64]]:
         """For a part's own unknown the part, its shared unknowns held as the others hold them.
@@ -239,22 +239,24 @@ class JointProblem:
         What the others say of the shared parameters is chi-squared's growth to second order, their
         own parameters following. A shared parameter needs the whole.
         """
-        owners = [k for k, place in enumerate(self.places) if j in place]
+        owners = [k for k, own_indices in enumerate(self.indices) if j in own_indices]
         if len(owners) > 1:
             return self, np.arange(len(p))
-        part, place = self.parts[owners[0]], self.places[owners[0]]
-        part = part.with_parameters(tuple(self.parameters[m] for m in place))
+        part, own_indices = self.parts[owners[0]], self.indices[owners[0]]
+        part = part.with_parameters(tuple(self.parameters[m] for m in own_indices))
         others = h.copy()
-        others[np.ix_(place, place)] -= part.normal_equations(p[place])[2]
-        rest = np.setdiff1d(np.arange(len(p)), place)
+        others[np.ix_(own_indices, own_indices)] -= part.normal_equations(p[own_indices])[2]
+        rest = np.setdiff1d(np.arange(len(p)), own_indices)
         lower = np.array([q.lower for q in self.parameters])
         upper = np.array([q.upper for q in self.parameters])
         rest = rest[(p[rest] > lower[rest]) & (p[rest] < upper[rest]) & (np.diag(h)[rest] > 0)]
-        across = others[np.ix_(place, rest)]
+        across = others[np.ix_(own_indices, rest)]
         unit = 1 / np.sqrt(np.diag(h)[rest])
         inner = np.linalg.pinv(h[np.ix_(rest, rest)] * np.outer(unit, unit), hermitian=True)
-        stiffness = others[np.ix_(place, place)] - (across * unit) @ inner @ (across * unit).T
-        return PenalisedProblem(part, p[place], stiffness), place
+        stiffness = (
+            others[np.ix_(own_indices, own_indices)] - (across * unit) @ inner @ (across * unit).T
+        )
+        return PenalisedProblem(part, p[own_indices], stiffness), own_indices
 
     def at(self, index: NDArray[np.int64]) -> JointProblem:
         index = np.sort(np.asarray(index, np.int64))
@@ -290,49 +292,49 @@ class JointProblem:
 
     def values(self, p: FloatArray, cells: Cells | None = None) -> FloatArray:
         out = np.empty(self.n)
-        for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
+        for part, own_indices, where in zip(self.parts, self.indices, self.slices, strict=True):
             own = None if cells is None else cells_within(cells, where)
-            out[where] = part.values(p[place], own)
+            out[where] = part.values(p[own_indices], own)
         return out
 
     def jacobian(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values (N,) and their derivatives (N, P): mostly zeros, see `pieces`."""
         f, jac = np.empty(self.n), np.zeros((self.n, len(p)))
-        for part, place, where in zip(self.parts, self.places, self.slices, strict=True):
-            f[where], own = part.jacobian(p[place])
-            jac[where, place] = own
+        for part, own_indices, where in zip(self.parts, self.indices, self.slices, strict=True):
+            f[where], own = part.jacobian(p[own_indices])
+            jac[where, own_indices] = own
         return f, jac
 
     def model_at(self, directions: Directions, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The model of part after part at these directions."""
         found = [
-            part.model_at(directions, p[place])
-            for part, place in zip(self.parts, self.places, strict=True)
+            part.model_at(directions, p[own_indices])
+            for part, own_indices in zip(self.parts, self.indices, strict=True)
         ]
         jac = np.zeros((sum(len(f) for f, _ in found), len(p)))
         start = 0
-        for (f, own), place in zip(found, self.places, strict=True):
-            jac[start : start + len(f), place] = own
+        for (f, own), own_indices in zip(found, self.indices, strict=True):
+            jac[start : start + len(f), own_indices] = own
             start += len(f)
         return np.concatenate([f for f, _ in found]), jac
 
     def chi2(self, p: FloatArray) -> float:
-        pairs = zip(self.parts, self.places, strict=True)
-        return float(sum(part.chi2(p[place]) for part, place in pairs))
+        pairs = zip(self.parts, self.indices, strict=True)
+        return float(sum(part.chi2(p[own_indices]) for part, own_indices in pairs))
 
     def batch_chi2(self, batch: FloatArray) -> FloatArray:
-        pairs = zip(self.parts, self.places, strict=True)
-        sums = [part.batch_chi2(batch[:, place]) for part, place in pairs]
+        pairs = zip(self.parts, self.indices, strict=True)
+        sums = [part.batch_chi2(batch[:, own_indices]) for part, own_indices in pairs]
         return np.asarray(np.sum(sums, axis=0))
 
     def normal_equations(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         n_p = len(self.parameters)
         chi2, g, h = 0.0, np.zeros(n_p), np.zeros((n_p, n_p))
-        for part, place in zip(self.parts, self.places, strict=True):
-            own = part.normal_equations(p[place])
+        for part, own_indices in zip(self.parts, self.indices, strict=True):
+            own = part.normal_equations(p[own_indices])
             chi2 += own[0]
-            g[place] += own[1]
-            h[np.ix_(place, place)] += own[2]
+            g[own_indices] += own[1]
+            h[np.ix_(own_indices, own_indices)] += own[2]
         return chi2, g, h
 
     def products(self, points: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
@@ -372,23 +374,23 @@ def _named_parameters(
     common = {r.tied_to or r.parameter.name for r in part.reported if r.parameter.name in share}
     parameters = [q for q in part.parameters if q.name in common]
     shared = {q.name: j for j, q in enumerate(parameters)}
-    places = []
+    indices = []
     for label in labels:
-        place = []
+        own_indices = []
         for q in part.parameters:
-            place.append(shared.get(q.name, len(parameters)))
+            own_indices.append(shared.get(q.name, len(parameters)))
             if q.name not in shared:
                 meaning = f"{q.meaning}, {label}"
                 parameters.append(replace(q, name=f"{q.name}[{label}]", meaning=meaning))
-        places.append(np.array(place, dtype=np.int64))
-    return tuple(parameters), tuple(places)
+        indices.append(np.array(own_indices, dtype=np.int64))
+    return tuple(parameters), tuple(indices)
 
 
 def _reported(
     part: Problem,
     labels: Sequence[str],
     parameters: tuple[Parameter, ...],
-    places: tuple[NDArray[np.int64], ...],
+    indices: tuple[NDArray[np.int64], ...],
 ) -> tuple[Reported, ...]:
     """Parameters that all parts have in common, fixed ones among them, then those of each part."""
     shared = {q.name for q in parameters}
@@ -397,9 +399,9 @@ def _reported(
     for r in part.reported:
         in_common = r.unknown is None or part.parameters[r.unknown].name in shared
         (common if in_common else own).append(r)
-    found = [replace(r, unknown=None if r.unknown is None else int(places[0][r.unknown]))
+    found = [replace(r, unknown=None if r.unknown is None else int(indices[0][r.unknown]))
              for r in common]  # fmt: skip
-    for label, place in zip(labels, places, strict=True):
+    for label, own_indices in zip(labels, indices, strict=True):
         for r in own:
             assert r.unknown is not None
             name = f"{r.parameter.name}[{label}]"
@@ -407,7 +409,7 @@ def _reported(
             found.append(
                 Reported(
                     replace(r.parameter, name=name, meaning=meaning),
-                    int(place[r.unknown]),
+                    int(own_indices[r.unknown]),
                     tied_to=None if r.tied_to is None else f"{r.tied_to}[{label}]",
                 )
             )

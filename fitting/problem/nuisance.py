@@ -1,7 +1,7 @@
-"""Errors that the samples share, learnt with the fit: unknowns with priors from the budget.
+"""Errors that the samples share, profiled in the fit: unknowns with priors from the budget.
 
-A sample's expectation is F(p, z): every draw of every learnt error is an unknown z with a prior of
-mean 0 and unit variance, in units of what the budget states. About the current z0,
+A sample's expectation is F(p, z): every draw of every profiled error is an unknown z with a prior
+of mean 0 and unit variance, in units of what the budget states. About the current z0,
 
 y - F(p, z0) + U z0 = U z + noise,     U = dF/dz,
 
@@ -374,7 +374,7 @@ class NuisanceProblem:
         return base.with_directions(shift=shift, turn=turn)
 
     def _columns(self, changes: list[FloatArray]) -> Any:
-        """U from the change by each learnt term."""
+        """U from the change by each profiled term."""
         from scipy.sparse import csr_array
 
         n_terms = len(changes)

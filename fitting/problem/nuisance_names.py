@@ -13,7 +13,7 @@ Nuisance = Literal["none", "all"] | Sequence[str]
 
 
 def profiled_terms(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
-    """Names of the shared terms that are to be learnt.
+    """Names of the shared terms that are to be profiled.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def profiled_terms(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
     Raises
     ------
     ConfigurationError
-        If the samples state no shared error that can be learnt, or none of a name.
+        If the samples state no shared error that can be profiled, or none of a name.
 
     Examples
     --------
@@ -44,8 +44,8 @@ def profiled_terms(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
     typical = {term.name for term in samples.shared if term.typical}
     if nuisance and not known:
         raise ConfigurationError(
-            "the samples state no shared errors that a fit could learn; give a session, or samples "
-            "of 'gonio reduce'.",
+            "the samples state no shared errors that a fit could profile; give a session, or "
+            "samples of 'gonio reduce'.",
             value=nuisance,
         )
     if list(nuisance) == ["all"]:
@@ -57,7 +57,7 @@ def profiled_terms(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
         if name in typical or (not matching and name in {t.partition(",")[0] for t in typical}):
             raise ConfigurationError(
                 f"the shared error {name!r} stands for errors of many shapes by a typical one: it "
-                f"is propagated and cannot be learnt; others can: {'; '.join(known)}.",
+                f"is propagated and cannot be profiled; others can: {'; '.join(known)}.",
                 value=name,
             )
         if not matching:

@@ -100,7 +100,7 @@ class Problem(Protocol):
 
     @property
     def terms_of_sum(self) -> list[tuple[str, NDArray[np.int64]]]:
-        """Models that this one is the sum of, with the places of their parameters."""
+        """Models that this one is the sum of, with the indices of their parameters."""
 
     @property
     def kernel_parameters(self) -> KernelParameters | None:
@@ -202,13 +202,13 @@ class Problem(Protocol):
         """
 
     def pieces(self) -> list[tuple[Problem, slice, NDArray[np.int64]]]:
-        """Problems of which this is the sum, with the places of their samples and unknowns.
+        """Problems of which this is the sum, with the indices of their samples and unknowns.
 
         A problem over one BRDF is its own only piece.
         """
 
     def around(self, p: FloatArray, h: FloatArray, j: int) -> tuple[Problem, NDArray[np.int64]]:
-        """A problem in which unknown j alone is followed, and the places of its unknowns here.
+        """A problem in which unknown j alone is followed, and the indices of its unknowns here.
 
         p and h are a minimum and J^T W J there. Over one BRDF it is the problem itself.
         """

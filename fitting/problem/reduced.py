@@ -119,8 +119,8 @@ class ReducedProblem:
         found: list[tuple[str, NDArray[np.int64]]] = []
         taken: set[int] = set()
         for k, (name, arguments) in enumerate(self.whole.terms_of_sum):
-            places = self.kernel.source[arguments]
-            own = [j for j in dict.fromkeys(places.tolist()) if j >= 0 and j not in taken]
+            indices = self.kernel.source[arguments]
+            own = [j for j in dict.fromkeys(indices.tolist()) if j >= 0 and j not in taken]
             taken |= set(own)
             # A term with fixed or tied parameters cannot change places with another one.
             whole = len(own) == len(arguments)

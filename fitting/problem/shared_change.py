@@ -28,8 +28,8 @@ def shared_change(problem: Problem, term: SharedTerm, p: FloatArray, f: FloatArr
     pieces = problem.pieces()
     if pieces[0][0] is not problem:
         changes = [
-            shared_change(piece, term.select(np.arange(problem.n)[where]), p[place], f[where])
-            for piece, where, place in pieces
+            shared_change(piece, term.select(np.arange(problem.n)[where]), p[index], f[where])
+            for piece, where, index in pieces
         ]
         return np.concatenate(changes)
     if term.shift is not None:
@@ -81,7 +81,7 @@ def draw_slope(
 ) -> FloatArray:
     """dF/dz (N,) of a term; f are the values at the directions as they are now.
 
-    What is learnt is known to a part of its prior: there the slope is wanted, and not the chord
+    What is profiled is known to a part of its prior: there the slope is wanted, and not the chord
     over a whole standard deviation that stands for what is only propagated.
     """
     if term.shift is not None:

@@ -22,7 +22,7 @@ class Reported:
     parameter : Parameter
         With the name that the result uses.
     unknown : int or None
-        Its place among the unknowns; None where it is fixed.
+        Its index among the unknowns; None where it is fixed.
     value : float or None
         What it is fixed to, in the unit of Python.
     tied_to : str or None
@@ -49,7 +49,7 @@ class KernelParameters:
     Parameters
     ----------
     source : ndarray of int64, shape (K,)
-        For each argument the place of its unknown; -1 where it is fixed.
+        For each argument the index of its unknown; -1 where it is fixed.
     values : ndarray, shape (K,)
         What arguments are fixed to; 0 elsewhere.
     """
@@ -80,8 +80,8 @@ class KernelParameters:
 
     def argument(self, j: int) -> int | None:
         """The only argument that unknown j fills; None where it fills several."""
-        (places,) = np.nonzero(self.source == j)
-        return int(places[0]) if len(places) == 1 else None
+        (indices,) = np.nonzero(self.source == j)
+        return int(indices[0]) if len(indices) == 1 else None
 
 
 def sum_limit(model: Model, parameters: tuple[Parameter, ...]) -> FloatArray:
@@ -97,7 +97,7 @@ def sum_limit(model: Model, parameters: tuple[Parameter, ...]) -> FloatArray:
 def terms_of_sum(
     model: Model, parameters: tuple[Parameter, ...]
 ) -> list[tuple[str, NDArray[np.int64]]]:
-    """Models that a model is the sum of, with the places of their parameters.
+    """Models that a model is the sum of, with the indices of their parameters.
 
     One term where the parameters are not those of the model, one after the other: several parts
     have some of their own, or some are fixed.

@@ -11,7 +11,7 @@ from gonio.fitting.residual_tests.whitened import (
 )
 from gonio.geometry import FloatArray
 
-OUTSIDE = 0.0025  # one-sided probability of chi-squared beyond which its size is told,
+OUTSIDE = 0.0025  # one-sided probability of chi-squared beyond which its size is stated,
 MATERIAL = 1.25  # and factor by which chi2/dof must miss 1: smaller misses change no decision
 
 

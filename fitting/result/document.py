@@ -61,6 +61,7 @@ def load(path: Path, kind: type[Record]) -> Record:
         if data["posterior"] is not None:
             data["posterior"] = PosteriorSummary(**data["posterior"])
         data["warnings"] = tuple(data["warnings"])
+        _rename_keys_of_0_1(data["diagnostics"].get("identifiability"))
         data["parts"] = tuple(_part(entry) for entry in data.get("parts", ()))
         if data.get("sharing") is not None:
             data["sharing"] = Sharing(**_with_tuple(data["sharing"], "parameters"))
@@ -135,6 +136,12 @@ def _pair(
     one = replace(estimate, value=pair[0], stderr=pair[1])
     one = one.in_file_units() if to_file else one.in_python_units()
     return one.value, one.stderr
+
+
+def _rename_keys_of_0_1(identifiability: dict[str, Any] | None) -> None:
+    """The suggested measurement stood under "mending" in files of 0.1."""
+    if identifiability and "mending" in identifiability:
+        identifiability["suggested_measurement"] = identifiability.pop("mending")
 
 
 def _part(entry: dict[str, Any]) -> PartFit:

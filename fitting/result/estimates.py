@@ -31,7 +31,7 @@ class Estimate:
     fixed : bool
         The parameter was no unknown: its value was given, and it has no uncertainty.
     tied_to : str or None
-        Name of the parameter whose value it takes, as the fit was told to.
+        Name of the parameter whose value it takes, as `tied` asks.
     """
 
     value: float
@@ -46,7 +46,7 @@ class Estimate:
 
     @property
     def unknown(self) -> bool:
-        """Whether the data told the value, and not another parameter or whoever fixed it."""
+        """Whether the data determine the value: it is neither fixed nor tied."""
         return not self.fixed and self.tied_to is None
 
     def in_file_units(self) -> Estimate:
@@ -95,7 +95,7 @@ def _both(pair: Pair | None, by: Callable[[float], float]) -> Pair | None:
 
 @dataclass(frozen=True)
 class NuisanceEstimate:
-    """A shared error that the fit has learnt, in units of its prior's standard uncertainty.
+    """A shared error that the fit profiled, in units of its prior's standard uncertainty.
 
     Parameters
     ----------

@@ -65,8 +65,9 @@ def _identified(record: FitRecord, found: Mapping[str, Any]) -> list[Piece]:
     pieces.append(shown)
     for a, b, r in found["correlated"]:
         pieces.append(Text(f"{a} and {b} are exchanged nearly freely: correlation {r:+.4f}"))
-    if found["mending"] is not None:
-        pieces.append(Text(f"to mend it: {found['mending']['text']}"))
+    suggested = found["suggested_measurement"]
+    if suggested is not None:
+        pieces.append(Text(f"suggested measurement: {suggested['text']}"))
     return pieces
 
 

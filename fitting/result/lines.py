@@ -31,7 +31,7 @@ def cuts_line(cuts: Mapping[str, Any]) -> str:
 
 def posterior_lines(p: PosteriorSummary) -> list[str]:
     """Whether the posterior converged, how it was sampled, and priors that are not flat."""
-    told = [
+    lines = [
         f"posterior: {'converged' if p.converged else 'NOT converged'}, {p.ess:.0f} effective "
         f"draws, R-hat {p.r_hat:.4f}, autocorrelation {p.tau:.1f} steps; intervals are its "
         "quantiles"
@@ -43,13 +43,13 @@ def posterior_lines(p: PosteriorSummary) -> list[str]:
         parts.append(f"{p.ess_tail:.0f} effective draws in the tails")
     if p.k_hat is not None:
         parts.append(f"k-hat {p.k_hat:.2f}")
-    told += ["  " + ", ".join(parts)] if parts else []
+    lines += ["  " + ", ".join(parts)] if parts else []
     believed = [f"{name} {text}" for name, text in p.priors.items() if text != "flat"]
     others = "; the others flat" if len(believed) < len(p.priors) else ""
-    return told + ([f"  priors: {', '.join(believed)}{others}"] if believed else [])
+    return lines + ([f"  priors: {', '.join(believed)}{others}"] if believed else [])
 
 
-def nuisance_lines(learnt: Sequence[NuisanceEstimate]) -> list[str]:
+def nuisance_lines(profiled: Sequence[NuisanceEstimate]) -> list[str]:
     """A line for each shared error, in units of its stated standard uncertainty.
 
     Examples
@@ -58,15 +58,15 @@ def nuisance_lines(learnt: Sequence[NuisanceEstimate]) -> list[str]:
     >>> lamp = [NuisanceEstimate("lamp", k, z, 0.5) for k, z in enumerate((0.3, -0.4))]
     >>> for line in nuisance_lines([NuisanceEstimate("standard", None, 0.02, 0.999), *lamp]):
     ...     print(line)
-    shared errors learnt, in units of their stated standard uncertainty (prior 0 ± 1):
+    profiled shared errors, in units of their stated standard uncertainty (prior 0 ± 1):
       standard       +0.02 ± 1.00
       lamp           2 draws of rms 0.35, the largest -0.40 ± 0.50
     """
-    names = list(dict.fromkeys(e.name for e in learnt))
+    names = list(dict.fromkeys(e.name for e in profiled))
     width = max(14, *map(len, names))
-    found = ["shared errors learnt, in units of their stated standard uncertainty (prior 0 ± 1):"]
+    found = ["profiled shared errors, in units of their stated standard uncertainty (prior 0 ± 1):"]
     for name in names:
-        draws = [e for e in learnt if e.name == name]
+        draws = [e for e in profiled if e.name == name]
         largest = max(draws, key=lambda e: abs(e.estimate))
         text = f"{largest.estimate:+.2f} ± {largest.stderr:.2f}"
         if len(draws) > 1:

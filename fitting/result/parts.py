@@ -60,18 +60,18 @@ def part(record: Record, name: str) -> Record:
 
 def _part_diagnostics(whole: Mapping[str, Any], part: PartFit, k: int) -> dict[str, Any]:
     """What the diagnostics of a joint fit say of one part, by the model's names."""
-    told = dict(whole)
+    part_diagnostics = dict(whole)
     names = {own: q for q, own in part.parameters.items()}
     residuals = whole.get("residuals") or {}
     if "parts" in residuals:
-        told["residuals"] = residuals["parts"][k]
+        part_diagnostics["residuals"] = residuals["parts"][k]
     if whole.get("priors"):
-        told["priors"] = {names[n]: v for n, v in whole["priors"].items() if n in names}
+        part_diagnostics["priors"] = {names[n]: v for n, v in whole["priors"].items() if n in names}
     found = whole.get("identifiability")
     if found:
         order = [j for j, name in enumerate(found["parameters"]) if name in names]
         axes = [_renamed(axis["change"], names) for axis in found["axes"]]
-        told["identifiability"] = {
+        part_diagnostics["identifiability"] = {
             **found,
             "parameters": [names[found["parameters"][j]] for j in order],
             "correlation": [[found["correlation"][j][m] for m in order] for j in order],
@@ -83,7 +83,7 @@ def _part_diagnostics(whole: Mapping[str, Any], part: PartFit, k: int) -> dict[s
                 if change
             ],
         }
-    return told
+    return part_diagnostics
 
 
 def _of_part(value: Any, whole: Mapping[str, Any], names: Mapping[str, str]) -> Any:

@@ -50,7 +50,7 @@ class FitRecord:
     sharing : Sharing or None
         The test of a joint fit's shared parameters.
     nuisance : tuple of NuisanceEstimate
-        Shared errors that were learnt with the fit, else empty.
+        Shared errors that the fit profiled, else empty.
     engine : str
         What searched for the minimum before the Gauss-Newton steps
         (`gonio.fitting.minimum.engines`).

@@ -33,11 +33,11 @@ def _without_undetected(
         sd = np.sqrt(errors.covariance[j, j])
         if not (q.linear and errors.determined[j] and optimum.p[j] - q.lower < 4 * sd):
             continue
-        small, k_small, place = around(minimum, j)
+        small, k_small, index = around(minimum, j)
         at = small.optimum
         null = at_lower(small.problem, at, k_small)
         lost = np.zeros_like(determined)
-        lost[place] = (np.diag(null.curvature) <= 0) & determined[place]
+        lost[index] = (np.diag(null.curvature) <= 0) & determined[index]
         gain = max(null.chi2 - at.chi2, 0.0) / max(errors.noise_scale, 1e-300) ** 2
         if gain < CHI2_95 and lost.any():
             names = [r.name for k, r in enumerate(problem.parameters) if lost[k]]

@@ -25,19 +25,19 @@ def with_correlated_parts(
     Where a model does not fit, its parts leave the same residuals at the same directions: they are
     no independent evidence of what the parts share. With r_kl their correlation between parts,
     samples of parts k and l at one place have the covariance r_kl / sqrt(w_k w_l), and
-    H^-1 (sum_kl r_kl J_k^T sqrt(W_k W_l) J_l) H^-1 takes the place of H^-1.
+    H^-1 (sum_kl r_kl J_k^T sqrt(W_k W_l) J_l) H^-1 replaces H^-1.
     """
     problem, optimum = minimum.problem, minimum.optimum
     r = residual_correlation(problem, optimum.p)
     if r is None:
         return errors
     columns = []
-    for part, _, place in problem.pieces():
-        columns.append(np.sqrt(part.inverse_variance)[:, None] * part.jacobian(optimum.p[place])[1])
-    places = [place for _, _, place in problem.pieces()]
+    for part, _, index in problem.pieces():
+        columns.append(np.sqrt(part.inverse_variance)[:, None] * part.jacobian(optimum.p[index])[1])
+    indices = [index for _, _, index in problem.pieces()]
     n_p = len(optimum.p)
     scatter = np.zeros((n_p, n_p))
-    for (k, a), (m, b) in itertools.product(enumerate(places), repeat=2):
+    for (k, a), (m, b) in itertools.product(enumerate(indices), repeat=2):
         scatter[np.ix_(a, b)] += r[k, m] * columns[k].T @ columns[m]
     _, inverse = inverse_curvature(optimum)
     return replace(errors, independent=errors.noise_scale**2 * inverse @ scatter @ inverse)
@@ -51,8 +51,8 @@ def residual_correlation(problem: Problem, p: FloatArray) -> FloatArray | None:
     if not _same_directions(problem):
         return None
     z = []
-    for part, _, place in problem.pieces():
-        residual = (part.samples.value - part.values(p[place])) * np.sqrt(part.inverse_variance)
+    for part, _, index in problem.pieces():
+        residual = (part.samples.value - part.values(p[index])) * np.sqrt(part.inverse_variance)
         z.append(residual / max(float(np.linalg.norm(residual)), 1e-300))
     r = np.array(z) @ np.array(z).T
     np.fill_diagonal(r, 1.0)

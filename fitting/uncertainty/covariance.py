@@ -124,12 +124,12 @@ def _moves(
     terms = []
     for term, change in zip(problem.samples.shared, changes, strict=True):
         terms.append((change, term.draw(problem.n), np.zeros((term.n_draws, len(p)))))
-    for piece, where, place in problem.pieces():
-        weighted = piece.weighted(piece.jacobian(p[place])[1])
+    for piece, where, index in problem.pieces():
+        weighted = piece.weighted(piece.jacobian(p[index])[1])
         for change, group, moves in terms:
             columns = (weighted * change[where, None]).T
             score = [np.bincount(group[where], weights=c, minlength=len(moves)) for c in columns]
-            moves += np.transpose(inverse[:, place] @ score)
+            moves += np.transpose(inverse[:, index] @ score)
     found: dict[str, FloatArray] = {}
     for term, (_, _, moves) in zip(problem.samples.shared, terms, strict=True):
         # Errors of several sources may have one name: they are draws of their own.

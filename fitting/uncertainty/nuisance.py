@@ -11,7 +11,7 @@ from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.result import NuisanceEstimate
 
 PULL = 3.0  # standard deviations of one draw that are worth a warning
-LEARNT = 0.05  # smallest part of the prior's variance that data must take away for a pull
+INFORMED = 0.05  # smallest part of the prior's variance that data must take away for a pull
 
 
 def nuisance_estimates(minimum: Minimum) -> tuple[NuisanceEstimate, ...]:
@@ -32,7 +32,7 @@ def pull_warnings(found: Sequence[NuisanceEstimate]) -> list[str]:
     pulls = {
         k: e.estimate / np.sqrt(1 - e.stderr**2)
         for k, e in enumerate(found)
-        if 1 - e.stderr**2 >= LEARNT
+        if 1 - e.stderr**2 >= INFORMED
     }
     limit = float(norm.isf(norm.sf(PULL) / max(len(pulls), 1)))
     worst: dict[str, int] = {}

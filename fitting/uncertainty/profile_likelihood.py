@@ -15,17 +15,17 @@ from gonio.geometry import FloatArray
 def around(minimum: Minimum, j: int) -> tuple[Minimum, int, NDArray[np.int64]]:
     """The smallest problem in which parameter j can be followed, at its minimum.
 
-    With the number of the parameter there, and the places of its parameters in the whole.
+    With the number of the parameter there, and the indices of its parameters in the whole.
     """
     problem, optimum = minimum.problem, minimum.optimum
-    small, place = problem.around(optimum.p, optimum.curvature, j)
-    at = int(np.flatnonzero(place == j)[0])
+    small, index = problem.around(optimum.p, optimum.curvature, j)
+    at = int(np.flatnonzero(index == j)[0])
     if small is problem:
-        return minimum, at, place
-    p = optimum.p[place]
+        return minimum, at, index
+    p = optimum.p[index]
     chi2, g, h = small.normal_equations(p)
-    own = replace(optimum, p=p, chi2=chi2, gradient=g, curvature=h, free=optimum.free[place])
-    return minimum.at(small, own), at, place
+    own = replace(optimum, p=p, chi2=chi2, gradient=g, curvature=h, free=optimum.free[index])
+    return minimum.at(small, own), at, index
 
 
 def profile_limit(

@@ -31,11 +31,11 @@ def sharing_test(
     Both with the weights of the joint fit, so that the growth of chi-squared is never negative.
     """
     apart, growth = [], 0.0
-    for minimum, (part, _, place) in zip(alone, problem.pieces(), strict=True):
+    for minimum, (part, _, index) in zip(alone, problem.pieces(), strict=True):
         own = minimise(part, minimum.optimum.p, search=False)
-        other = minimise(part, optimum.p[place], search=False)
+        other = minimise(part, optimum.p[index], search=False)
         apart.append(better(own, other))
-        growth += max(part.chi2(optimum.p[place]) - apart[-1].chi2, 0.0)
+        growth += max(part.chi2(optimum.p[index]) - apart[-1].chi2, 0.0)
     separate = JointProblem.from_parts(channels, problem.parts, ())
     errors = uncertainty.evaluate(Minimum.of(separate, _stacked(apart), 1.0))
     names = tuple(q.name for q in problem.parameters if q.name == base_name(q.name))
@@ -45,17 +45,17 @@ def sharing_test(
         allowed = growth * _allowance(names, separate, apart, errors)
         left = problem.n - sum(int(np.count_nonzero(own.free)) for own in apart)
         p_value = _chance(problem, allowed, dof, left)
-    told = []
-    for own, part, place in zip(apart, separate.parts, separate.places, strict=True):
+    identified_pairs = []
+    for own, part, index in zip(apart, separate.parts, separate.indices, strict=True):
         pairs: dict[str, tuple[float, float | None]] = {}
         for j, q in enumerate(part.parameters):
             if q.name in names:
-                sd = float(np.sqrt(errors.covariance[place[j], place[j]]))
-                known = errors.determined[place[j]] and sd < q.upper - q.lower
+                sd = float(np.sqrt(errors.covariance[index[j], index[j]]))
+                known = errors.determined[index[j]] and sd < q.upper - q.lower
                 pairs[q.name] = (float(own.p[j]), sd if known else None)
-        told.append(pairs)
+        identified_pairs.append(pairs)
     refused = p_value is not None and p_value < REFUSED
-    return Sharing(names, growth, max(dof, 0), p_value, refused), told
+    return Sharing(names, growth, max(dof, 0), p_value, refused), identified_pairs
 
 
 def _chance(problem: JointProblem, growth: float, dof: int, left: int) -> float:
@@ -78,15 +78,15 @@ def _allowance(
     """
     if not errors.shared:
         return 1.0
-    index, value, column = [], [], []
-    for own, part, place in zip(apart, separate.parts, separate.places, strict=True):
+    compared, value, column = [], [], []
+    for own, part, index in zip(apart, separate.parts, separate.indices, strict=True):
         for j, q in enumerate(part.parameters):
-            if q.name in names and errors.determined[place[j]]:
-                index.append(place[j])
+            if q.name in names and errors.determined[index[j]]:
+                compared.append(index[j])
                 value.append(own.p[j])
-                column.append(names.index(q.name))
+                column.append(names.compared(q.name))
     design = np.eye(len(names))[column]
-    at = np.ix_(index, index)
+    at = np.ix_(compared, compared)
     known = errors.independent[at], errors.covariance[at]
     plain, full = (_disagreement(np.array(value), design, c) for c in known)
     return float(np.clip(full / plain, 0.0, 1.0)) if plain > 0 else 1.0
@@ -117,7 +117,7 @@ def _stacked(apart: Sequence[Optimum]) -> Optimum:
 
 def _rank(optimum: Optimum) -> int:
     """How many free parameters the data determine."""
-    index = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
-    scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
-    scaled = optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
+    compared = np.flatnonzero(optimum.free & (np.diag(optimum.curvature) > 0))
+    scale = 1 / np.sqrt(np.diag(optimum.curvature)[compared])
+    scaled = optimum.curvature[np.ix_(compared, compared)] * np.outer(scale, scale)
     return int(np.count_nonzero(np.linalg.eigvalsh(scaled) > UNDETERMINED))

@@ -53,8 +53,8 @@ def part(inputs: Inputs, put: Any) -> Markup:
 def _summary(identified: Mapping[str, Any]) -> Markup:
     """What is not identified, and the suggested measurement."""
     lines = [str(cause) for cause in identified["causes"]]
-    if identified["mending"] is not None:
-        lines.append(str(identified["mending"]["text"]))
+    if identified["suggested_measurement"] is not None:
+        lines.append(str(identified["suggested_measurement"]["text"]))
     if not lines:
         return tag("p", "Every parameter that is free is identified by these data.")
     return tag("div", *(tag("p", line) for line in lines), class_="note", id="identified")

@@ -1,9 +1,9 @@
 """The uncertainty budget of BRDF samples, as metrologists write it (GUM, JCGM 100).
 
-Every source with what it does to f, sample by sample. Errors of direction act through the slope of
-f, which is taken from the neighbouring samples of the image; a blur acts through its curvature and
-a turn of the sample through both directions at once, which samples do not hold well enough: they
-are left to the fit.
+Every source with its effect on f, sample by sample. Errors of direction act through the slope of
+f, which is taken from the neighbouring samples of the image. A blur acts through its curvature and
+a turn of the sample through both directions at once. Samples do not determine these well enough:
+they are left to the fit.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class Source:
     kind : {"A", "B"}
         A: from counts or from a fit to calibration frames; B: stated by certificate or operator.
     shared_by : str
-        What has one draw of it in common: a sample, an image, an incidence, neighbouring
-        incidences, or all samples.
+        The samples that have one draw of it in common: one sample, those of an image, of an
+        incidence or of neighbouring incidences, or all samples.
     acts : str
         As a factor on f, an offset or both, or by turning or blurring the viewing direction.
     u : ndarray, shape (N,), or None
-        Standard uncertainty of every sample by it, sr^-1; None where samples do not tell.
+        Standard uncertainty of every sample by it, sr^-1; None if samples do not determine it.
     effect : str, optional
         Key of the effect that it belongs to; None for noise and where it is not known.
     """
@@ -58,7 +58,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Budget:
-    """Sources of uncertainty of samples, and what is known not to be among them.
+    """Sources of uncertainty of samples, and the sources that are not included.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class Budget:
 
 
 def budget(samples: BRDFSamples) -> Budget:
-    """Collect what is known of the uncertainty of samples.
+    """Collect the sources of uncertainty of samples.
 
     Parameters
     ----------
@@ -225,17 +225,17 @@ def _noise(samples: BRDFSamples) -> list[Source]:
 
 
 def _shared_by(samples: BRDFSamples, term: SharedTerm) -> str:
-    """What has one draw of a term in common."""
+    """The samples that have one draw of a term in common."""
     if term.group is None or len(np.unique(term.group)) == 1:
         return ALL
     theta_i = np.broadcast_to(samples.directions.theta_i, (len(samples),))
-    if samples.image is not None and _alike(term.group, samples.image):
-        return INCIDENCE if _alike(term.group, theta_i) else IMAGE
-    return INCIDENCE if _alike(term.group, theta_i) else SOME
+    if samples.image is not None and _same_partition(term.group, samples.image):
+        return INCIDENCE if _same_partition(term.group, theta_i) else IMAGE
+    return INCIDENCE if _same_partition(term.group, theta_i) else SOME
 
 
-def _alike(a: NDArray[Any], b: NDArray[Any]) -> bool:
-    """Whether two labels part the samples in the same way."""
+def _same_partition(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    """Whether two labels divide the samples into the same groups."""
     numbers = [np.unique(label, return_inverse=True)[1] for label in (a, b)]
     pairs = np.unique(np.stack(numbers), axis=1).shape[1]
     return bool(pairs == numbers[0].max() + 1 == numbers[1].max() + 1)
@@ -245,7 +245,7 @@ class _Slopes:
     """Slope of f at every sample from its neighbours in the image.
 
     A plane is fitted to the nearest samples; what its own noise adds to the square of a change is
-    taken off.
+    subtracted.
     """
 
     def __init__(self, samples: BRDFSamples) -> None:
@@ -263,7 +263,7 @@ class _Slopes:
                 continue
             _, near = cKDTree(w_r[at]).query(w_r[at], k=min(NEIGHBOURS, len(at)))
             self._fit(at, at[near], w_r, samples.value, weight)
-        self._known = u is not None
+        self._has_uncertainty = u is not None
 
     def _fit(
         self, at: Any, near: Any, w_r: FloatArray, value: FloatArray, weight: FloatArray
@@ -292,7 +292,7 @@ class _Slopes:
     def change(self, shift: FloatArray) -> FloatArray:
         """Size of the change of f where directions move by `shift` (N, 3)."""
         change = np.einsum("nj,nj->n", self._gradient, shift)
-        if not self._known:
+        if not self._has_uncertainty:
             return np.asarray(np.abs(change))
         noise = np.einsum("ni,nij,nj->n", shift, self._covariance, shift)
         return np.asarray(np.sqrt(np.maximum(change**2 - noise, 0.0)))

@@ -1,4 +1,4 @@
-"""The cells of one image: what the reduction makes of its pixels and the effects take."""
+"""The cells of one image, as the reduction makes them and the effects use them."""
 
 from __future__ import annotations
 

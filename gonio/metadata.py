@@ -1,7 +1,7 @@
-"""What a rig knows of itself, of its frames and of how they were taken.
+"""Metadata of a session: the instrument, its frames and how they were taken.
 
-Records that calibration reads, written by the simulator or by the operator of a rig. Unknown is
-None and never 0.
+Calibration reads these records. The simulator or the operator of a rig writes them. Unknown is None
+and never 0.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ SCHEMA = "gonio.session/1"
 
 Role = Literal["background", "standard", "sample"]
 ROLES: tuple[Role, ...] = ("background", "standard", "sample")
-GEOMETRY_FIGURES = ("R", "D", "pupil_x", "pupil_y", "pupil_z", "camera_azimuth")
-LENS_FIGURES = ("focal_length", "k1", "k2", "k3", "k4", "centre_x", "centre_y")
+GEOMETRY_QUANTITIES = ("R", "D", "pupil_x", "pupil_y", "pupil_z", "camera_azimuth")
+LENS_QUANTITIES = ("focal_length", "k1", "k2", "k3", "k4", "centre_x", "centre_y")
 
 
 class _Record(BaseModel):
@@ -26,9 +26,9 @@ class _Record(BaseModel):
 
 
 class Uncertain(_Record):
-    """Covariance of some figures of a calibration, in the units of their fields."""
+    """Covariance of some quantities of a calibration, in the units of their fields."""
 
-    names: tuple[str, ...] = Field(min_length=1, description="the figures, in this order")
+    names: tuple[str, ...] = Field(min_length=1, description="the quantities, in this order")
     covariance: tuple[tuple[float, ...], ...] = Field(description="a row for each name")
 
     @model_validator(mode="after")
@@ -47,14 +47,14 @@ class Uncertain(_Record):
 
 
 class Geometry(_Record):
-    """The dome and the camera's place in it; lengths in mm, angles in degrees."""
+    """The dome and the camera's position in it; lengths in mm, angles in degrees."""
 
     shape: Literal["sphere", "ellipsoid"]
     R: float = Field(gt=0, description="radius of the sphere, semi-minor axis of the ellipsoid")
     D: float = Field(gt=0, description="half the separation of camera and target")
     usable_theta_r_deg: float = Field(gt=0, le=90)
     pupil_mm: tuple[float, float, float] = Field(
-        default=(0.0, 0.0, 0.0), description="entrance pupil from its nominal place (0, -D, 0)"
+        default=(0.0, 0.0, 0.0), description="entrance pupil from its nominal position (0, -D, 0)"
     )
     pupil_walk_mm: float = Field(
         default=0.0, description="rise of the entrance pupil at 90 deg, as (theta/90 deg)^2"
@@ -70,7 +70,7 @@ class Geometry(_Record):
 
     @model_validator(mode="after")
     def _known(self) -> Geometry:
-        _check_names(self.uncertain, GEOMETRY_FIGURES)
+        _check_names(self.uncertain, GEOMETRY_QUANTITIES)
         return self
 
 
@@ -92,12 +92,12 @@ class LensCalibration(_Record):
 
     @model_validator(mode="after")
     def _known(self) -> LensCalibration:
-        _check_names(self.uncertain, LENS_FIGURES)
+        _check_names(self.uncertain, LENS_QUANTITIES)
         return self
 
 
 class Camera(_Record):
-    """The frames' pixels: binned figures, as the counts in the frames are."""
+    """The frames' pixels; all values are of binned pixels, as the counts in the frames are."""
 
     rows: int = Field(gt=0)
     columns: int = Field(gt=0)
@@ -186,7 +186,7 @@ class LampRecord(_Record):
 
 
 class Limits(_Record):
-    """What the instrument is known to do to the light; None is unknown."""
+    """Influence quantities of instrument, room and sample holder; None is unknown."""
 
     slope_error_deg: float | None = Field(
         default=None, ge=0, description="sd of the dome's surface slope"
@@ -195,7 +195,7 @@ class Limits(_Record):
         default=None, ge=0, description="added to it at the rim, as (theta/90 deg)^6"
     )
     slope_correlation_deg: float = Field(
-        default=10.0, gt=0, description="distance over which slope errors are alike"
+        default=10.0, gt=0, description="correlation length of the slope errors"
     )
     multibounce: float | None = Field(
         default=None, ge=0, description="estimate of g: the irradiance grows by 1 + g albedo"
@@ -265,7 +265,6 @@ class Plan(_Record):
         default=None,
         description="the one incidence at which the standard was taken; every one if not given",
     )
-    # How E at incidence i is to that at the standard's, where they differ: T_d cos U m.
     u_irradiance: float | None = Field(
         default=None,
         ge=0,
@@ -343,7 +342,7 @@ class Plan(_Record):
 
 
 class Metadata(_Record):
-    """Everything that calibration may know, for a simulated or a real rig."""
+    """Everything that calibration uses, of a simulated instrument or of a real rig."""
 
     schema_: str = Field(default=SCHEMA, alias="schema")
     instrument: str

@@ -50,7 +50,7 @@ def nominal(shape="ellipsoid", **geometry) -> PixelMap:
 
 def set_to(seen: PixelMap, figures) -> PixelMap:
     for name, value in figures.items():
-        seen = seen.changed(name, value - seen.figure(name))
+        seen = seen.changed(name, value - seen.quantity(name))
     return seen
 
 
@@ -107,7 +107,7 @@ class TestFit:
             assert found.values[name] == pytest.approx(figures[name], abs=4 * found.sd[name])
         # What a reduction uses: the directions.
         at = np.random.default_rng(2).uniform(120, 300, (2, 200))
-        apart = found.seen.directions(*at) - true.directions(*at)
+        apart = found.pixel_map.directions(*at) - true.directions(*at)
         assert np.degrees(np.linalg.norm(apart, axis=1)).max() < 0.01
 
     @pytest.mark.parametrize("shape", SHAPES)
@@ -163,7 +163,7 @@ class TestFit:
             assert unsure.sd[name] > sure.sd[name]
         # The spots know the lens better than that: it is fitted with them.
         assert unsure.sd["focal_length"] < 0.003
-        assert unsure.values["focal_length"] != start.figure("focal_length")
+        assert unsure.values["focal_length"] != start.quantity("focal_length")
         geometry_file.write(tmp_path / "g.toml", unsure, instrument="ideal12", lost={})
         content = geometry_file.read(tmp_path / "g.toml").content
         assert content.lens.focal_length_mm == unsure.values["focal_length"]
@@ -274,7 +274,7 @@ class TestRefusals:
 
     def test_too_few_spots(self):
         _, true = truth("ellipsoid")
-        message = r"4 spots cannot decide 10 figures; take frames of a mirror until at least 7"
+        message = r"4 spots cannot decide 10 quantities; take frames of a mirror until at least 7"
         with pytest.raises(DataError, match=message):
             fit(made(true, TWELVE[:4]), nominal(), R=Length(R, 0.01), separation=Length(30, 0.1))
 

@@ -36,7 +36,7 @@ class TestRecord:
 
     def test_its_keys_stand_in_the_metadata(self, key):
         known = metadata(preset("modern12"), PLAN, "sample", "")
-        for each in (*EFFECTS[key].figures, *EFFECTS[key].unknown):
+        for each in (*EFFECTS[key].quantities, *EFFECTS[key].unknown):
             if each.key:
                 value_at(known, each.key)  # an unknown key raises AttributeError
 

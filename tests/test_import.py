@@ -20,7 +20,7 @@ from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.errors import ConfigurationError, DataError
 from gonio.metadata import LensCalibration, Uncertain
 from gonio.rig import frame_files, session_file
-from gonio.rig.frame_files import Place, formatted
+from gonio.rig.frame_files import FrameIndex, formatted
 from gonio.rig.tables import SessionTable
 from gonio.session import Session
 
@@ -57,7 +57,7 @@ def codes(found):
 def all_frames(session):
     return {
         place: session.frame(*place[:4], channel=place.channel)
-        for place in frame_files.places(session.metadata.plan)
+        for place in frame_files.frame_indices(session.metadata.plan)
     }
 
 
@@ -175,7 +175,7 @@ def test_sources_are_noted(folder, tmp_path):
     (one,) = [r for r in records if r["file"] == "white/30_32_1.png"]
     counts = rig_files.pixels(folder / "white/30_32_1.png")
     place = ("standard", 0, 1, 1, 0)
-    assert tuple(one[name] for name in Place._fields) == place
+    assert tuple(one[name] for name in FrameIndex._fields) == place
     assert (one["low"], one["high"]) == (counts.min(), counts.max())
     assert len(records) == 18
     assert (tmp_path / "s" / "session.toml").read_bytes() == (folder / "session.toml").read_bytes()
@@ -749,17 +749,17 @@ def test_takes_rotations_and_channels_of_a_table(folder):
     plan = session_file.read(folder).table.plan
     row = {"theta_i_deg": "30", "exposure_s": "0.032", "channel": "b"}
     sample = row | {"role": "sample", "rotation_deg": "90"}
-    assert frame_files._place(plan, sample, "") == Place("sample", 1, 1, 1, 1)
+    assert frame_files._index_of_row(plan, sample, "") == FrameIndex("sample", 1, 1, 1, 1)
     white = row | {"role": "standard", "take": "2"}
-    assert frame_files._place(plan, white, "") == Place("standard", 1, 1, 1, 1)
+    assert frame_files._index_of_row(plan, white, "") == FrameIndex("standard", 1, 1, 1, 1)
     with pytest.raises(DataError, match="rotation_deg = '' is not a number"):
-        frame_files._place(plan, sample | {"rotation_deg": ""}, "line 3")
+        frame_files._index_of_row(plan, sample | {"rotation_deg": ""}, "line 3")
     with pytest.raises(
         DataError, match=r"take = 3 is not of the plan; 1 to plan\.repeats holds 1, 2"
     ):
-        frame_files._place(plan, white | {"take": "3"}, "line 3")
+        frame_files._index_of_row(plan, white | {"take": "3"}, "line 3")
     with pytest.raises(DataError, match="unknown channel ''"):
-        frame_files._place(plan, white | {"channel": ""}, "line 3")
+        frame_files._index_of_row(plan, white | {"channel": ""}, "line 3")
 
 
 def test_the_table_names_the_background_of_the_standard(folder):
@@ -767,8 +767,8 @@ def test_the_table_names_the_background_of_the_standard(folder):
     change(folder, STANDARD_AT_30)
     plan = session_file.read(folder).table.plan
     row = {"theta_i_deg": "30", "exposure_s": "0.004", "role": "background_of_standard"}
-    assert frame_files._place(plan, row, "") == Place("background", 0, 2, 0, 0)
-    assert frame_files._place(plan, row | {"role": "background"}, "").incidence == 1
+    assert frame_files._index_of_row(plan, row, "") == FrameIndex("background", 0, 2, 0, 0)
+    assert frame_files._index_of_row(plan, row | {"role": "background"}, "").incidence == 1
 
 
 def edited(column, value, row=1):

@@ -310,8 +310,8 @@ def sampling(plane, header=MOSAIC, **other):
 )
 def test_planes_of_a_mosaic(plane, places, black):
     found = sampling(plane)
-    assert set(found.places) == places
-    assert MOSAIC.black_of(found.places) == black
+    assert set(found.positions) == places
+    assert MOSAIC.black_of(found.positions) == black
     assert found.shape == (4, 6)
     assert (found.step, found.n_summed) == (2, len(places))
     # The middle of the pixels that are used is where the session's pixel lies.

@@ -11,7 +11,7 @@ import pytest
 
 from gonio.board import Board
 from gonio.calibration.lens import bundle_adjustment as lens_fit
-from gonio.calibration.lens.board_poses import Pose, View, place
+from gonio.calibration.lens.board_poses import Pose, View, pose_of_board
 from gonio.calibration.lens.bundle_adjustment import fit_lens
 from gonio.calibration.lens.cross_check import cross_check
 from gonio.calibration.lens.fisheye import Fisheye
@@ -34,8 +34,8 @@ def towards(theta_deg, phi_deg, tilt=(0.0, 0.0, 0.0), distance=120.0):
     across = np.radians(phi_deg) + np.pi / 2
     facing = rotation(np.radians(theta_deg) * np.array([np.cos(across), np.sin(across), 0.0]))
     turned = facing @ rotation(np.asarray(tilt, float))
-    place = unit_vectors(np.radians(theta_deg), np.radians(phi_deg)) * distance
-    return Pose(rotation_vector(turned), place - turned @ MIDDLE)
+    pose_of_board = unit_vectors(np.radians(theta_deg), np.radians(phi_deg)) * distance
+    return Pose(rotation_vector(turned), pose_of_board - turned @ MIDDLE)
 
 
 def drawn_poses(n, rng, most_deg=75.0):
@@ -147,7 +147,7 @@ class TestRotation:
     def test_jacobian_of_the_bundle(self):
         poses = drawn_poses(3, rng_of(1))
         views = views_of(poses)
-        names = lens_fit.FIGURES
+        names = lens_fit.QUANTITIES
         jacobian = lens_fit._jacobian(views, LENS, poses, names)
         h = 1e-5
         for k, pose in enumerate(poses):
@@ -168,7 +168,7 @@ class TestRotation:
 def test_a_pose_from_rays_at_any_angle(theta_deg):
     pose = towards(theta_deg, 200, (0.3, -0.2, 1.0))
     (view,) = views_of([pose], field_deg=360)
-    found = place(view, LENS)
+    found = pose_of_board(view, LENS)
     np.testing.assert_allclose(rotation(found.turn), rotation(pose.turn), atol=1e-9)
     np.testing.assert_allclose(found.shift, pose.shift, atol=1e-6)
     assert found.normal() @ found.shift > 0
@@ -178,7 +178,7 @@ def test_four_corners_are_a_pose():
     pose = towards(50, 20, (0.1, 0.4, -1.0))
     (view,) = views_of([pose])
     some = np.isin(np.arange(len(view.pixels)), [0, 6, 28, 34])
-    found = place(view.subset(some), LENS)
+    found = pose_of_board(view.subset(some), LENS)
     np.testing.assert_allclose(found.shift, pose.shift, atol=1e-6)
 
 
@@ -216,7 +216,7 @@ def test_pixels_that_are_not_square():
     views = views_of(drawn_poses(8, rng_of(5)), rng_of(6), 0.05, lens)
     known = fit_lens(views, replace(GUESS, ratio=1.02))
     assert known.lens.ratio == 1.02
-    assert known.free == lens_fit.FIGURES[:-1]
+    assert known.free == lens_fit.QUANTITIES[:-1]
     found = fit_lens(views, GUESS, free_ratio=True)
     sd = np.sqrt(found.covariance[-1, -1])
     assert abs(found.lens.ratio - 1.02) < 4 * sd < 4e-4

@@ -430,7 +430,7 @@ class TestErrors:
         w_r = seen.directions(*self.AT)
         for mode in modes:
             assert np.abs(np.sum(mode.shift * w_r, axis=1)).max() < 1e-15
-            assert set(mode.figures) <= set(NAMES)
+            assert set(mode.quantities) <= set(NAMES)
 
     def test_modes_do_not_depend_on_units(self):
         """A figure in other units is another figure with another size: the modes stay."""
@@ -439,7 +439,7 @@ class TestErrors:
         modes = error_modes(seen, one, *self.AT)
         alone = error_modes(seen, Uncertain(names=("pupil_z",), covariance=((0.01,),)), *self.AT)
         # The azimuth's milli-degree does not show.
-        assert modes[0].figures == ("pupil_z",)
+        assert modes[0].quantities == ("pupil_z",)
         np.testing.assert_allclose(np.abs(modes[0].shift), np.abs(alone[0].shift), rtol=1e-3)
 
     def test_a_figure_that_is_certain_makes_no_error(self):

@@ -99,12 +99,12 @@ def test_the_history_says_what_is_taken_for_known_of_the_standard():
     assert describe(known()) == "eq. (2) with a standard of 0.99"
     assert describe(known(standard_theta_i_deg=10)) == (
         "eq. (2) with a standard of 0.99, taken at 10 deg: irradiance by cos(10 deg)/cos(theta_i), "
-        "lamp spot and dome taken as alike; relative uncertainty: unknown, not included"
+        "lamp spot and dome taken as equal; relative uncertainty: unknown, not included"
     )
     through = known("transmission", 10.0, transmittance=0.45, u_irradiance=0.02)
     assert describe(through) == (
         "eq. (2) with a standard of 0.99, taken in reflection at 10 deg: irradiance by T_d cos(10 "
-        "deg)/cos(theta_i) with T_d = 0.45, lamp spot and dome taken as alike; relative "
+        "deg)/cos(theta_i) with T_d = 0.45, lamp spot and dome taken as equal; relative "
         "uncertainty: 0.02"
     )
 

@@ -1,21 +1,21 @@
-"""Where dome and camera really stand, from the spots of a mirror: `gonio calibrate alignment`.
+"""The actual positions of dome and camera, from the spots of a mirror: `gonio calibrate alignment`.
 
 A mirror in place of the sample sends the lamp's beam into known directions; the spots tell which
 pixels see them. Fitted by least squares, the exact mapping being right: R, D, the pupil's offset,
 the image centre, the camera's azimuth, and tilt and azimuth of a wedge.
 
-**What can be known.** Directions do not change when every length grows alike: without a known
-length R is held and the other lengths stand as multiples of it. On a sphere only D - pupil_y shows
-(the camera's distance from the centre): pupil_y is held, and D is that distance. In an ellipsoid
-its foci tell D apart from pupil_y, but only off the lamp's plane: a level mirror is not enough, a
-wedge of 10 deg or more that is turned with the holder is. A measured separation of camera and
-target does it on either. All else shows with a level mirror already if the lamp stands on both
+**What the spots determine.** Directions do not change if all lengths grow by one factor. Without a
+known length R is held, and the other lengths are multiples of it. On a sphere only D - pupil_y
+shows (the camera's distance from the centre): pupil_y is held, and D is that distance. In an
+ellipsoid its foci tell D apart from pupil_y, but only off the lamp's plane: a level mirror is not
+enough, a wedge of 10 deg or more that is turned with the holder is. A measured separation of camera
+and target does it on either. All else shows with a level mirror already if the lamp stands on both
 sides; with the lamp on one side only, everything is three to ten times less sure. Twelve images,
 lamp at +-20 and +-50 deg, a wedge of 15 deg turned by 0, 120 and 240 deg, determine all of it.
 
 The frame is that of the mirror in its holder: z is the normal of a level mirror, or the axis about
 which the wedge is turned, and the lamp's angles count from it. The lens is taken as calibrated; the
-covariance of its figures, where known, is carried along.
+covariance of its quantities is propagated if it is known.
 
 References
 ----------
@@ -37,14 +37,14 @@ from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import FloatArray
 from gonio.metadata import Geometry, Limits, Uncertain
 
-# Of the figures that are not lengths in mm.
+# Units of the quantities that are not lengths in mm.
 UNITS = {
     **dict.fromkeys(("camera_azimuth", *WEDGE), "deg"),
     **dict.fromkeys(("centre_x", "centre_y"), "px"),
     **dict.fromkeys(("k1", "k2", "k3", "k4"), ""),
 }
 
-# The figure that is held where the spots see only a combination: the first of these in it.
+# If the spots determine only a combination of quantities, the first of these in it is held.
 _HELD_FIRST = ("R", "pupil_y", "wedge_azimuth", "wedge", "camera_azimuth", "pupil_x", "centre_x",
                "pupil_z", "centre_y", "D")  # fmt: skip
 _REJECT_SD = 6.0  # spots farther off than that, in robust standard deviations, are dropped
@@ -62,16 +62,16 @@ class Alignment:
 
     Parameters
     ----------
-    seen : PixelMap
-        The exact mapping with the fitted figures in place.
+    pixel_map : PixelMap
+        The exact mapping with the fitted values.
     values : mapping
-        Every figure in its unit: mm, deg, px.
+        Value of every quantity in its unit: mm, deg, px.
     sd : mapping
-        Its standard uncertainty; None where the spots do not determine it.
+        Its standard uncertainty; None if the spots do not determine it.
     uncertain : Uncertain
-        Joint covariance of the determined figures of the mapping.
+        Joint covariance of the determined quantities of the mapping.
     held_for : mapping
-        Of each figure that is not determined: the figures that it cannot be told from.
+        For each quantity that is not determined: the quantities that it cannot be separated from.
     residuals_px : ndarray, shape (n, 2)
         Spot less prediction.
     names : tuple of str
@@ -84,7 +84,7 @@ class Alignment:
         Factor by which the uncertainties were widened because the residuals ask for it.
     """
 
-    seen: PixelMap
+    pixel_map: PixelMap
     values: Mapping[str, float]
     sd: Mapping[str, float | None]
     uncertain: Uncertain
@@ -119,7 +119,7 @@ def fit(
     nominal : PixelMap
         Camera, lens and the geometry from which the fit starts: off by less than some mm and deg.
     limits : Limits, optional
-        Slope errors of the dome, which move neighbouring spots alike.
+        Influence quantities: the dome's slope errors, which move neighbouring spots together.
     R, separation : Length, optional
         Lengths that are known: the dome's R; the distance from camera to target.
 
@@ -138,7 +138,7 @@ def fit(
     -----
     The residuals are taken in direction, on the two tangents nearest to x and y, and weighted with
     their whole covariance: noise of the centroids, and slope errors e of the dome that turn
-    directions by 2 e and are alike over their correlation length. Where chi-squared exceeds its
+    directions by 2 e and are correlated over a length. Where chi-squared exceeds its
     degrees of freedom all uncertainties are widened by the root of their ratio.
     """
     wedges = sorted({round(float(np.degrees(spot.wedge)), 6) for spot in spots} - {0.0})
@@ -180,7 +180,7 @@ class _Solution:
 
 
 def _useful(task: Task) -> dict[str, float]:
-    """How far off each figure may be from the start; one less sure than that is not determined."""
+    """Largest useful uncertainty of each quantity; with a larger one it is not determined."""
     geometry, camera = task.start.geometry, task.start.camera
     useful = dict.fromkeys(("pupil_x", "pupil_y", "pupil_z"), geometry.D / 2)
     useful |= {"R": geometry.R / 10, "D": geometry.D / 2}
@@ -190,7 +190,7 @@ def _useful(task: Task) -> dict[str, float]:
 
 
 def _determined(task: Task) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
-    """Figures that the spots determine; and of the others, what they cannot be told from."""
+    """Quantities that the spots determine, and what each other one cannot be separated from."""
     free, held_for = list(task.names), {}
     useful = _useful(task)
     while free:
@@ -208,7 +208,7 @@ def _determined(task: Task) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]
 
 
 def _jacobian(task: Task, free: Sequence[str]) -> FloatArray:
-    """Whitened residuals by the figures at the start, by central differences."""
+    """Derivatives of the whitened residuals at the start, by central differences."""
     useful = _useful(task)
     step = {name: 1e-4 * useful[name] for name in free}
     slopes = [
@@ -222,8 +222,8 @@ def _require(n: int, free: Sequence[str]) -> None:
     least = len(free) // 2 + 2
     if n < least:
         raise DataError(
-            f"{n} spots cannot decide {len(free)} figures; take frames of a mirror until at least "
-            f"{least} spots are found."
+            f"{n} spots cannot decide {len(free)} quantities; take frames of a mirror until at "
+            f"least {least} spots are found."
         )
 
 
@@ -234,14 +234,16 @@ def _solve(task: Task, free: tuple[str, ...]) -> _Solution:
     def residuals(x: FloatArray) -> FloatArray:
         return task.residuals(dict(zip(free, x.tolist(), strict=True)))
 
-    found = least_squares(
+    optimum = least_squares(
         residuals, np.zeros(len(free)), bounds=(-bound, bound), x_scale=bound / 100,
         xtol=1e-12, ftol=1e-12, gtol=1e-12,
     )  # fmt: skip
     n = 2 * len(task.spots)
-    at_bound = tuple(name for name, on in zip(free, found.active_mask, strict=True) if on)
-    chi2 = float(np.sum(found.fun**2))
-    return _Solution(task, free, found.x, found.jac, found.fun[:n].reshape(-1, 2), chi2, at_bound)
+    at_bound = tuple(name for name, on in zip(free, optimum.active_mask, strict=True) if on)
+    chi2 = float(np.sum(optimum.fun**2))
+    return _Solution(
+        task, free, optimum.x, optimum.jac, optimum.fun[:n].reshape(-1, 2), chi2, at_bound
+    )
 
 
 def _robust(solution: _Solution) -> tuple[_Solution, dict[str, str]]:
@@ -280,7 +282,7 @@ def _check_picture(solution: _Solution) -> None:
                 "with x and rows with y, seen from the camera; mirror the frames and start again.",
                 value=sides,
             )
-    off = task.seen(solution.state).directions(*task.at.T) - task.wanted(solution.state)
+    off = task.pixel_map(solution.state).directions(*task.at.T) - task.wanted(solution.state)
     rms_deg = float(np.degrees(np.sqrt(np.mean(np.sum(off**2, axis=1)) / 2)))
     if solution.at_bound or not rms_deg < _WORST_DEG:
         where = f"runs away in {', '.join(solution.at_bound)}" if solution.at_bound else "fails"
@@ -301,16 +303,16 @@ def _result(
         solution = _solve(replace(solution.task, scale=scale), solution.free)
     task, free = solution.task, solution.free
     covariance = np.linalg.inv(solution.jacobian.T @ solution.jacobian)
-    seen = task.seen(solution.state)
+    pixel_map = task.pixel_map(solution.state)
     sd: dict[str, float | None] = dict.fromkeys(task.names)
     sd |= dict(zip(free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     kept = [k for k, name in enumerate(free) if name not in WEDGE]
     joint = covariance[np.ix_(kept, kept)]
     joint = (joint + joint.T) / 2
-    predicted = np.stack(seen.pixels(task.wanted(solution.state)), axis=1)
+    predicted = np.stack(pixel_map.pixels(task.wanted(solution.state)), axis=1)
     return Alignment(
-        seen=seen,
-        values=_values(seen, task, solution.state),
+        pixel_map=pixel_map,
+        values=_values(pixel_map, task, solution.state),
         sd=sd,
         uncertain=Uncertain(
             names=tuple(free[k] for k in kept),
@@ -326,9 +328,9 @@ def _result(
     )
 
 
-def _values(seen: PixelMap, task: Task, state: Mapping[str, float]) -> dict[str, float]:
-    """Every figure of a state in its unit."""
-    values = {name: seen.figure(name) for name in task.names if name not in WEDGE}
+def _values(pixel_map: PixelMap, task: Task, state: Mapping[str, float]) -> dict[str, float]:
+    """Value of every quantity of a state in its unit."""
+    values = {name: pixel_map.quantity(name) for name in task.names if name not in WEDGE}
     if WEDGE[0] in task.names:
         stated = float(np.degrees(max(spot.wedge for spot in task.spots)))
         values["wedge"] = stated + state.get("wedge", 0.0)
@@ -336,13 +338,13 @@ def _values(seen: PixelMap, task: Task, state: Mapping[str, float]) -> dict[str,
     return values
 
 
-def _scaled(seen: PixelMap, factor: float) -> PixelMap:
+def _scaled(pixel_map: PixelMap, factor: float) -> PixelMap:
     """The map with every length of its geometry times a factor, which turns no direction."""
-    g = seen.geometry
+    g = pixel_map.geometry
     longer = {
         "R": g.R * factor,
         "D": g.D * factor,
         "pupil_mm": tuple(factor * x for x in g.pupil_mm),
         "pupil_walk_mm": g.pupil_walk_mm * factor,
     }
-    return replace(seen, geometry=Geometry.model_validate(g.model_dump() | longer))
+    return replace(pixel_map, geometry=Geometry.model_validate(g.model_dump() | longer))

@@ -17,7 +17,7 @@ from gonio.session import Session
 
 @dataclass(frozen=True)
 class MirrorAlignment:
-    """Where dome and camera stand, from the spots of a mirror.
+    """Positions of dome and camera, from the spots of a mirror.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ def calibrate_alignment(
 ) -> MirrorAlignment:
     """Fit R, D, pupil, image centre and azimuth of the camera to the spots of a mirror.
 
-    Directions do not change when all lengths grow alike: give one that was measured, or lengths
-    stay multiples of R. What the spots do not determine is left as it was: lamp on both sides and
-    a wedge of 10 deg or more, turned to three azimuths, determine all.
+    Directions do not change if all lengths grow by one factor: give one that was measured, or
+    lengths stay multiples of R. Quantities that the spots do not determine keep their value. Lamp
+    on both sides and a wedge of 10 deg or more, turned to three azimuths, determine all.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def calibrate_alignment(
     --------
     >>> import gonio, tempfile
     >>> from gonio.instrument.plans import mirror_plan
-    >>> rig = gonio.instrument.preset("ideal12").with_pixels(208)
+    >>> instrument = gonio.instrument.preset("ideal12").with_pixels(208)
     >>> rig = rig.altered(lamp={"half_angle_deg": 0.5})
     >>> folder = tempfile.mkdtemp() + "/mirror.gonio"
-    >>> plan = mirror_plan(rig, wedge_deg=15.0)
-    >>> session = gonio.simulate(output=folder, instrument=rig, plan=plan)
-    >>> found = calibrate_alignment(session, R=Length(rig.dome.R, 0.01))
-    >>> bool(abs(found.alignment.values["D"] - rig.dome.D) < 0.1)
+    >>> plan = mirror_plan(instrument, wedge_deg=15.0)
+    >>> session = gonio.simulate(output=folder, instrument=instrument, plan=plan)
+    >>> result = calibrate_alignment(session, R=Length(instrument.dome.R, 0.01))
+    >>> bool(abs(result.alignment.values["D"] - instrument.dome.D) < 0.1)
     True
     """
     given = [sessions] if isinstance(sessions, Session | str | Path) else list(sessions)
@@ -94,9 +94,9 @@ def calibrate_alignment(
     spots: list[Spot] = []
     without: dict[str, str] = {}
     for session in opened:
-        found, missing = find_spots(session, nominal)
+        located, missing = find_spots(session, nominal)
         where = f"{session.path.name}: " if len(opened) > 1 else ""
-        spots += found
+        spots += located
         without |= {where + name: why for name, why in missing.items()}
     alignment = fit(spots, nominal, limits=metadata.limits, R=R, separation=separation)
     return MirrorAlignment(alignment, metadata.instrument, without)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.files import write_text
-from gonio.metadata import GEOMETRY_FIGURES, LENS_FIGURES, Geometry, Metadata, Uncertain
+from gonio.metadata import GEOMETRY_QUANTITIES, LENS_QUANTITIES, Geometry, Metadata, Uncertain
 
 if TYPE_CHECKING:
     from gonio.calibration.dome.alignment import Alignment
@@ -47,7 +47,7 @@ class _Lens(BaseModel):
 
 
 class _File(BaseModel):
-    """What a reduction needs; how the fit went is for people and may hold anything."""
+    """The content that a reduction needs. `fit` is for people and free in form."""
 
     model_config = ConfigDict(extra="forbid")
     schema_: str = Field(alias="schema")
@@ -82,13 +82,13 @@ class Calibrated:
 
     @property
     def held(self) -> tuple[str, ...]:
-        """Figures that the alignment did not determine and left as they were."""
+        """Quantities that the alignment did not determine and left as they were."""
         return tuple(self.content.not_determined)
 
     def applied(self, metadata: Metadata) -> Metadata:
-        """The metadata of a session with the calibrated figures in place.
+        """The metadata of a session with the calibrated values.
 
-        Its own covariance of the geometry is left out; `uncertain` stands for it.
+        The session's covariance of the geometry is dropped; `uncertain` replaces it.
 
         Raises
         ------
@@ -149,50 +149,50 @@ def read(path: str | Path) -> Calibrated:
         raise DataError(f"{path}: {key}: {first['msg']}.", value=path) from None
     if content.schema_ != SCHEMA:
         raise DataError(f"{path}: schema {content.schema_!r} is not {SCHEMA!r}.", value=path)
-    strangers = set(content.uncertain.names) - {*GEOMETRY_FIGURES, *LENS_FIGURES}
+    strangers = set(content.uncertain.names) - {*GEOMETRY_QUANTITIES, *LENS_QUANTITIES}
     if strangers:
         raise DataError(f"{path}: uncertain names {', '.join(sorted(strangers))}.", value=path)
     return Calibrated(path, content)
 
 
-def write(path: str | Path, found: Alignment, *, instrument: str, lost: dict[str, str]) -> None:
+def write(path: str | Path, alignment: Alignment, *, instrument: str, lost: dict[str, str]) -> None:
     """Write an alignment, whole or not at all.
 
     Parameters
     ----------
     path : path
-    found : Alignment
+    alignment : Alignment
     instrument : str
         Name of the instrument that it belongs to.
     lost : dict
         Images without a usable spot, and why.
     """
-    from gonio.calibration.dome.spot_residuals import FIGURES
+    from gonio.calibration.dome.spot_residuals import QUANTITIES
 
-    seen = found.seen
-    geometry = {name: getattr(seen.geometry, name) for name in _FIELDS}
-    wedge = {f"{n}_deg": v for n, v in found.values.items() if n.startswith("wedge")}
+    pixel_map = alignment.pixel_map
+    geometry = {name: getattr(pixel_map.geometry, name) for name in _FIELDS}
+    wedge = {f"{n}_deg": v for n, v in alignment.values.items() if n.startswith("wedge")}
     tables: dict[str, dict[str, Any]] = {
         "geometry": geometry,
         "frame": {
-            "rows": seen.camera.rows,
-            "columns": seen.camera.columns,
-            "centre_px": [found.values["centre_x"], found.values["centre_y"]],
+            "rows": pixel_map.camera.rows,
+            "columns": pixel_map.camera.columns,
+            "centre_px": [alignment.values["centre_x"], alignment.values["centre_y"]],
         },
-        "lens": {"focal_length_mm": seen.lens.focal_length_mm, "k": seen.lens.k},
-        "uncertain": found.uncertain.model_dump(),
-        "not_determined": dict(found.held_for),
+        "lens": {"focal_length_mm": pixel_map.lens.focal_length_mm, "k": pixel_map.lens.k},
+        "uncertain": alignment.uncertain.model_dump(),
+        "not_determined": dict(alignment.held_for),
         "fit": {
-            "spots": len(found.names),
-            "rms_px": found.rms_px,
-            "chi2": found.chi2,
-            "dof": found.dof,
-            "scale": found.scale,
+            "spots": len(alignment.names),
+            "rms_px": alignment.rms_px,
+            "chi2": alignment.chi2,
+            "dof": alignment.dof,
+            "scale": alignment.scale,
             **wedge,
         },
-        "fit.not_used": lost | dict(found.dropped),
+        "fit.not_used": lost | dict(alignment.dropped),
     }
-    if not set(found.uncertain.names) - set(FIGURES):
+    if not set(alignment.uncertain.names) - set(QUANTITIES):
         del tables["lens"]
     head = {"schema": SCHEMA, "instrument": instrument}
     blocks = [_lines(head)] + [f"[{name}]\n{_lines(table)}" for name, table in tables.items()]
@@ -200,7 +200,7 @@ def write(path: str | Path, found: Alignment, *, instrument: str, lost: dict[str
 
 
 def _lines(table: dict[str, Any]) -> str:
-    """A TOML table of numbers, texts and lists of them, which JSON writes alike."""
+    """A TOML table of numbers, texts and lists of them, which JSON writes in the same way."""
     return "".join(
         f"{name if name.isidentifier() else json.dumps(name)} = {json.dumps(value)}\n"
         for name, value in table.items()
@@ -208,7 +208,7 @@ def _lines(table: dict[str, Any]) -> str:
 
 
 def _without(uncertain: Uncertain | None, names: tuple[str, ...]) -> Uncertain | None:
-    """The covariance of the figures that are not in `names`."""
+    """The covariance of the quantities that are not in `names`."""
     if uncertain is None:
         return None
     keep = [k for k, name in enumerate(uncertain.names) if name not in names]

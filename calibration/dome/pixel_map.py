@@ -1,6 +1,6 @@
-"""From pixels to the directions that they see, with all that a session knows of its geometry.
+"""From pixels to the directions that they see, with the geometry that a session states.
 
-The one place that puts lens, camera, pupil and dome together: image centre and turn of the camera,
+This module alone puts lens, camera, pupil and dome together: image centre and turn of the camera,
 a pupil that is displaced and that rises with the angle as a fisheye's does, and the reflection by
 Ward's eq. (3) or exactly.
 """
@@ -20,7 +20,7 @@ from gonio.calibration.reflector import Mapping
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray, angles, unit_vectors
 from gonio.metadata import (
-    LENS_FIGURES,
+    LENS_QUANTITIES,
     Camera,
     Geometry,
     LensCalibration,
@@ -30,7 +30,7 @@ from gonio.metadata import (
 
 MAPPINGS: tuple[Mapping, ...] = get_args(Mapping)
 _NEWTON = 30
-# Where a figure is not a field of its own name.
+# Fields of the quantities that are not a field of their own name.
 _FIELDS = {
     "pupil_x": "pupil_mm",
     "pupil_y": "pupil_mm",
@@ -45,7 +45,7 @@ _NEGLIGIBLE = 1e-6  # share of the mean square shift that modes left out may hav
 
 @dataclass(frozen=True)
 class PixelMap:
-    """Where the pixels of a camera look, in the frame of the laboratory.
+    """Directions that the pixels of a camera see, in the frame of the laboratory.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ class PixelMap:
     mapping : {"eq3", "exact"}
         Ward's eq. (3), or the law of reflection on the dome's shape.
     uncertain : mapping of str to Uncertain
-        Covariances of figures of geometry and lens, as far as they are known; those of two names
-        are independent of each other.
+        Covariances of quantities of geometry and lens, if they are known. Those of two names are
+        independent of each other.
 
     Raises
     ------
@@ -112,11 +112,11 @@ class PixelMap:
         uncertain_geometry : Uncertain, optional
             In place of the covariance that the session states.
         """
-        known = {
+        stated = {
             "geometry": uncertain_geometry or metadata.geometry.uncertain,
             "lens": metadata.lens.uncertain,
         }
-        uncertain = {name: record for name, record in known.items() if record is not None}
+        uncertain = {name: record for name, record in stated.items() if record is not None}
         return cls(metadata.camera, metadata.lens, metadata.geometry, mapping, uncertain)
 
     def directions(self, columns: ArrayLike, rows: ArrayLike) -> FloatArray:
@@ -152,15 +152,15 @@ class PixelMap:
 
         Newton's method on the tangent plane of the camera's directions, from the inverse of
         eq. (3). NaN where it does not converge. A direction that the lens or the frame does not
-        reach has a place all the same, outside of them.
+        reach has a position too, outside of them.
         """
         geometry = self.geometry
         w_r = np.asarray(w_r, float)
         theta_c, phi_c = reflector.camera_angles(*angles(w_r), R=geometry.R, D=geometry.D)
         for _ in range(_NEWTON):
-            seen, (d_theta, d_phi) = self._along_tangents(theta_c, phi_c)
+            w_now, (d_theta, d_phi) = self._along_tangents(theta_c, phi_c)
             # Two unknowns, three components of which the one along w_r is zero to first order.
-            a, b = _solved(d_theta, d_phi, w_r - seen)
+            a, b = _solved(d_theta, d_phi, w_r - w_now)
             w_c = unit_vectors(theta_c, phi_c)
             e_theta, e_phi = _tangents(theta_c, phi_c)
             theta_c, phi_c = angles(w_c + a[..., None] * e_theta + b[..., None] * e_phi)
@@ -185,16 +185,16 @@ class PixelMap:
             shape=geometry.shape,
         )
 
-    def figure(self, name: str) -> float:
-        """A figure of the calibration by its name in `gonio.metadata`: mm, deg, px.
+    def quantity(self, name: str) -> float:
+        """A quantity of the calibration by its name in `gonio.metadata`: mm, deg, px.
 
         Parameters
         ----------
         name : str
-            One of GEOMETRY_FIGURES or LENS_FIGURES.
+            One of GEOMETRY_QUANTITIES or LENS_QUANTITIES.
         """
         lens, geometry = self.lens, self.geometry
-        if name in LENS_FIGURES:
+        if name in LENS_QUANTITIES:
             if name.startswith("centre_"):
                 return optics.image_centre(self.camera, lens)["xy".index(name[-1])]
             return lens.focal_length_mm if name == "focal_length" else lens.k[int(name[1:]) - 1]
@@ -203,16 +203,16 @@ class PixelMap:
         return float(getattr(geometry, _FIELDS.get(name, name)))
 
     def changed(self, name: str, step: float) -> PixelMap:
-        """The map with one figure of its calibration changed.
+        """The map with one quantity of its calibration changed.
 
         Parameters
         ----------
         name : str
-            One of GEOMETRY_FIGURES or LENS_FIGURES.
+            One of GEOMETRY_QUANTITIES or LENS_QUANTITIES.
         step : float
-            Added to the figure, in its unit.
+            Added to the quantity, in its unit.
         """
-        value: object = self.figure(name) + step
+        value: object = self.quantity(name) + step
         if name.startswith("centre_"):
             centre = optics.image_centre(self.camera, self.lens)
             value = _replaced(centre, "xy".index(name[-1]), value)
@@ -220,7 +220,7 @@ class PixelMap:
             value = _replaced(self.geometry.pupil_mm, "xyz".index(name[-1]), value)
         elif name.startswith("k"):
             value = _replaced(self.lens.k, int(name[1:]) - 1, value)
-        if name in LENS_FIGURES:
+        if name in LENS_QUANTITIES:
             key = "k" if name.startswith("k") else _FIELDS[name]
             return replace(self, lens=self.lens.model_copy(update={key: value}))
         key = _FIELDS.get(name, name)
@@ -255,7 +255,7 @@ class PixelMap:
     def _along_tangents(
         self, theta_c: FloatArray, phi_c: FloatArray
     ) -> tuple[FloatArray, list[FloatArray]]:
-        """Directions seen, and their changes along the two tangents of the camera's direction."""
+        """Directions, and their changes along the two tangents of the camera's direction."""
         e_theta, e_phi = _tangents(theta_c, phi_c)
         rise = np.zeros((*np.shape(theta_c), 3))
         rise[..., 2] = self._walk * 2 * theta_c / (np.pi / 2) ** 2
@@ -299,32 +299,32 @@ class Mode:
     ----------
     shift : ndarray, shape (..., 3)
         Change of the directions for one standard deviation, tangent vectors in radians.
-    figures : tuple of str
-        The figures that take part, the strongest first.
+    quantities : tuple of str
+        The quantities that take part, the strongest first.
     """
 
     shift: FloatArray
-    figures: tuple[str, ...]
+    quantities: tuple[str, ...]
 
 
-def left_out(seen: PixelMap, columns: ArrayLike, rows: ArrayLike) -> FloatArray:
-    """What eq. (3) leaves out at pixels: exact direction less that of eq. (3), (..., 3), radians.
+def left_out(pixel_map: PixelMap, columns: ArrayLike, rows: ArrayLike) -> FloatArray:
+    """Error of eq. (3) at pixels: exact direction minus that of eq. (3), (..., 3), radians.
 
     Tangent to the direction by eq. (3).
     """
-    by_eq_3 = replace(seen, mapping="eq3").directions(columns, rows)
-    exact = replace(seen, mapping="exact").directions(columns, rows)
+    by_eq_3 = replace(pixel_map, mapping="eq3").directions(columns, rows)
+    exact = replace(pixel_map, mapping="exact").directions(columns, rows)
     return across(exact - by_eq_3, by_eq_3)
 
 
 def error_modes(
-    seen: PixelMap, uncertain: Uncertain, columns: ArrayLike, rows: ArrayLike
+    pixel_map: PixelMap, uncertain: Uncertain, columns: ArrayLike, rows: ArrayLike
 ) -> list[Mode]:
-    """Independent errors of directions from the covariance of the figures behind them.
+    """Independent errors of directions from the covariance of the calibration.
 
     Parameters
     ----------
-    seen : PixelMap
+    pixel_map : PixelMap
     uncertain : Uncertain
         Of the geometry or of the lens.
     columns, rows : array_like, shape (N,)
@@ -338,10 +338,10 @@ def error_modes(
 
     Notes
     -----
-    With the derivatives A of the directions by the figures (central differences of one standard
+    With the derivatives A of the directions by the quantities (central differences of one standard
     deviation) and any factor L L^T of their covariance, the columns of A L are independent errors.
     They are turned to the principal axes of (A L)^T (A L), so that the result does not depend on
-    the units of the figures and a few modes hold all that matters.
+    the units of the quantities, and a few modes suffice.
     """
     covariance = np.array(uncertain.covariance)
     sd = np.sqrt(covariance.diagonal())
@@ -349,8 +349,8 @@ def error_modes(
     if not names:
         return []
     covariance, sd = covariance[np.ix_(sd > 0, sd > 0)], sd[sd > 0]
-    w_r = seen.directions(columns, rows)
-    unit = np.stack([_by_one_sd(seen, *f, columns, rows) for f in zip(names, sd, strict=True)])
+    w_r = pixel_map.directions(columns, rows)
+    unit = np.stack([_by_one_sd(pixel_map, *f, columns, rows) for f in zip(names, sd, strict=True)])
     values, vectors = np.linalg.eigh(covariance / np.outer(sd, sd))
     factor = vectors * np.sqrt(values.clip(0))
     moved = np.einsum("jni,jm->mni", unit, factor)
@@ -367,11 +367,11 @@ def error_modes(
 
 
 def _by_one_sd(
-    seen: PixelMap, name: str, sd: float, columns: ArrayLike, rows: ArrayLike
+    pixel_map: PixelMap, name: str, sd: float, columns: ArrayLike, rows: ArrayLike
 ) -> FloatArray:
-    """Change of the directions for one standard deviation of one figure."""
-    up = seen.changed(name, sd).directions(columns, rows)
-    down = seen.changed(name, -sd).directions(columns, rows)
+    """Change of the directions for one standard deviation of one quantity."""
+    up = pixel_map.changed(name, sd).directions(columns, rows)
+    down = pixel_map.changed(name, -sd).directions(columns, rows)
     return (up - down) / 2
 
 

@@ -1,6 +1,7 @@
-"""What the spots of a mirror say of a state of the geometry: whitened residuals.
+"""Whitened residuals of the spots of a mirror, for a state of the geometry.
 
-A state is a set of changes of figures, by their names in `gonio.metadata`, with those of a wedge.
+A state is a set of changes of quantities, by their names in `gonio.metadata`, with those of a
+wedge.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.calibration.dome.spots import Spot, mirrored
 from gonio.errors import ConfigurationError, DataError
 from gonio.geometry import FloatArray, angles
-from gonio.metadata import GEOMETRY_FIGURES, Geometry, Limits, Uncertain
+from gonio.metadata import GEOMETRY_QUANTITIES, Geometry, Limits, Uncertain
 
-# The figures that an alignment is about; those of the lens join them where they are doubtful.
-FIGURES = tuple(dict.fromkeys((*GEOMETRY_FIGURES, "centre_x", "centre_y")))
+# The quantities that an alignment determines; those of the lens join them if they are uncertain.
+QUANTITIES = tuple(dict.fromkeys((*GEOMETRY_QUANTITIES, "centre_x", "centre_y")))
 WEDGE = ("wedge", "wedge_azimuth")
 
 
@@ -41,7 +42,7 @@ class Length:
 
 @dataclass(frozen=True)
 class Task:
-    """Spots, what is known beside them, and the whitened residuals of a state.
+    """Spots, other measurements, and the whitened residuals of a state.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class Task:
     start : PixelMap
         The exact mapping from which the changes of a state count.
     limits : Limits
-        Slope errors of the dome.
+        Influence quantities: slope errors of the dome.
     R, separation : Length or None
         Lengths that were measured otherwise.
     scale : float
@@ -77,18 +78,18 @@ class Task:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Every figure that a state may hold."""
+        """Every quantity that a state may hold."""
         wedge = WEDGE if any(spot.wedge for spot in self.spots) else ()
-        other = (name for name in self.lens.names if name not in FIGURES)
-        return (*FIGURES, *other, *wedge)
+        other = (name for name in self.lens.names if name not in QUANTITIES)
+        return (*QUANTITIES, *other, *wedge)
 
-    def seen(self, state: Mapping[str, float]) -> PixelMap:
-        """The mapping of a state: changes of the figures from the start."""
-        seen = self.start
+    def pixel_map(self, state: Mapping[str, float]) -> PixelMap:
+        """The mapping of a state: changes of the quantities from the start."""
+        pixel_map = self.start
         for name, step in state.items():
             if name not in WEDGE and step:
-                seen = seen.changed(name, step)
-        return seen
+                pixel_map = pixel_map.changed(name, step)
+        return pixel_map
 
     def wanted(self, state: Mapping[str, float]) -> FloatArray:
         """Directions (n, 3) into which the mirror sends the lamp."""
@@ -99,13 +100,13 @@ class Task:
         return mirrored(np.array([spot.theta_i for spot in self.spots]), psi, wedge)
 
     def residuals(self, state: Mapping[str, float]) -> FloatArray:
-        """Whitened residuals of the spots, and those of whatever else is known."""
-        seen, wanted = self.seen(state), self.wanted(state)
-        off = seen.directions(*self.at.T) - wanted
+        """Whitened residuals of the spots and of the other measurements."""
+        pixel_map, wanted = self.pixel_map(state), self.wanted(state)
+        off = pixel_map.directions(*self.at.T) - wanted
         t_x, t_y = _tangents(wanted)
         along = np.stack([np.sum(off * t_x, axis=1), np.sum(off * t_y, axis=1)], axis=1)
         white = solve_triangular(self.whiten, along.ravel(), lower=True)
-        return np.concatenate([white, self._beside(seen.geometry, state)])
+        return np.concatenate([white, self._beside(pixel_map.geometry, state)])
 
     def _beside(self, geometry: Geometry, state: Mapping[str, float]) -> FloatArray:
         rest = []
@@ -130,15 +131,15 @@ class Task:
 
 @dataclass(frozen=True)
 class Prior:
-    """What the calibration of the lens says of its figures."""
+    """Prior of the lens's quantities, from its calibration."""
 
     names: tuple[str, ...]
     sd: FloatArray
-    whiten: FloatArray  # turns changes of the figures into independent unit normals
+    whiten: FloatArray  # turns changes of the quantities into independent unit normals
 
     @classmethod
     def of(cls, uncertain: Uncertain | None) -> Prior:
-        """The prior of a covariance; an empty one where it is unknown: the lens is held."""
+        """The prior of a covariance; an empty one if it is unknown: then the lens is held."""
         if uncertain is None:
             return cls((), np.zeros(0), np.zeros((0, 0)))
         covariance = np.array(uncertain.covariance)
@@ -146,11 +147,11 @@ class Prior:
         doubtful = sd > 0  # the others are held
         names = tuple(n for n, d in zip(uncertain.names, doubtful, strict=True) if d)
         sd = sd[doubtful]
-        # Figures of different units: eigenvalues mean something for the correlations only.
+        # The quantities have different units: only the correlations have meaningful eigenvalues.
         correlation = covariance[np.ix_(doubtful, doubtful)] / np.outer(sd, sd)
         values, vectors = np.linalg.eigh(correlation)
-        known = values > 1e-12
-        return cls(names, sd, (vectors[:, known] / np.sqrt(values[known])).T / sd)
+        positive = values > 1e-12
+        return cls(names, sd, (vectors[:, positive] / np.sqrt(values[positive])).T / sd)
 
 
 def _covariance(task: Task) -> FloatArray:
@@ -179,11 +180,11 @@ def _covariance(task: Task) -> FloatArray:
     rim = (limits.rim_slope_error_deg or 0.0) * (theta / (np.pi / 2)) ** 6
     slope = 2 * np.radians((limits.slope_error_deg or 0.0) + rim)
     apart = np.linalg.norm(w[:, None] - w, axis=-1) / np.radians(limits.slope_correlation_deg)
-    alike = np.outer(slope, slope) * np.exp(-(apart**2) / 2)
+    slope_covariance = np.outer(slope, slope) * np.exp(-(apart**2) / 2)
     for axis in range(2):
-        total[:, axis, :, axis] += alike
+        total[:, axis, :, axis] += slope_covariance
     flat = total.reshape(2 * n, 2 * n)
-    # Spots closer than rounding can tell make a slope's covariance singular.
+    # Spots that are equal within rounding make a slope's covariance singular.
     return np.asarray(flat + 1e-12 * np.diag(np.diag(flat)))
 
 

@@ -1,9 +1,9 @@
-"""Find the lamp's mirror image in the frames of a mirror: where each spot lies and how surely.
+"""Finds the lamp's mirror image in frames of a mirror: position and covariance of each spot.
 
 A plane mirror in place of the sample sends the lamp's beam into one direction, so that the pixel
 at the middle of the spot sees that direction. A centroid is not quite the middle: the spot is a
 few pixels wide and its edge is sharp, and the map from pixels to directions bends. Both are
-modelled with the map itself and taken off.
+modelled with the map itself and subtracted.
 """
 
 from __future__ import annotations
@@ -75,15 +75,15 @@ def mirrored(theta_i: FloatArray, psi: FloatArray, wedge: FloatArray) -> FloatAr
     return np.asarray(2 * np.sum(w_i * n, axis=-1, keepdims=True) * n - w_i)
 
 
-def find_spots(session: Session, seen: PixelMap) -> tuple[list[Spot], dict[str, str]]:
+def find_spots(session: Session, pixel_map: PixelMap) -> tuple[list[Spot], dict[str, str]]:
     """The spots of a session of a mirror, and why other images have none.
 
     Parameters
     ----------
     session : Session
         Of a mirror; its background is subtracted. The first channel is used.
-    seen : PixelMap
-        Tells the edge of the image and the shape of a spot; it need not be aligned.
+    pixel_map : PixelMap
+        Gives the edge of the image and the shape of a spot; it need not be aligned.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def find_spots(session: Session, seen: PixelMap) -> tuple[list[Spot], dict[str, 
         )
     session.require_complete()
     columns, rows = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
-    inside = np.isfinite(seen.directions(columns, rows)[..., 0])
+    inside = np.isfinite(pixel_map.directions(columns, rows)[..., 0])
 
     def taken(role: str, take: int, incidence: int) -> Rate:
         return merge(session.bracket(role, take, incidence), plan.exposures_s, camera)
@@ -116,11 +116,11 @@ def find_spots(session: Session, seen: PixelMap) -> tuple[list[Spot], dict[str, 
         background = average([taken("background", k, incidence) for k in range(plan.repeats)])
         for rotation, psi_deg in enumerate(plan.rotations_deg):
             name = f"theta_i = {theta_deg:g} deg, rotation {psi_deg:g} deg"
-            found = locate(taken("sample", rotation, incidence), background, inside)
-            if isinstance(found, str):
-                lost[name] = found
+            located = locate(taken("sample", rotation, incidence), background, inside)
+            if isinstance(located, str):
+                lost[name] = located
                 continue
-            at, covariance = found
+            at, covariance = located
             half_angle = session.metadata.lamp.half_angle_deg
             spots.append(
                 Spot(
@@ -128,7 +128,7 @@ def find_spots(session: Session, seen: PixelMap) -> tuple[list[Spot], dict[str, 
                     float(np.radians(theta_deg)),
                     float(np.radians(psi_deg)),
                     float(np.radians(plan.wedge_deg)),
-                    at if half_angle is None else _middle(seen, at, np.radians(half_angle)),
+                    at if half_angle is None else _middle(pixel_map, at, np.radians(half_angle)),
                     covariance,
                 )
             )
@@ -172,14 +172,14 @@ def locate(
     if background.saturated[spot].any():
         return "on a pixel that is saturated without the mirror"
     row, column = np.nonzero(spot)
-    places = np.stack([column, row], axis=1)
+    positions = np.stack([column, row], axis=1)
     weight, noise = signal[spot], variance[spot]
-    at = weight @ places / weight.sum()
-    away = places - at
+    at = weight @ positions / weight.sum()
+    away = positions - at
     return at, (away * noise[:, None]).T @ away / weight.sum() ** 2
 
 
-def _middle(seen: PixelMap, centroid: FloatArray, half_angle: float) -> FloatArray:
+def _middle(pixel_map: PixelMap, centroid: FloatArray, half_angle: float) -> FloatArray:
     """Column and row of the middle of a lamp of this half-angle whose centroid is given.
 
     The centroid of the light of a lamp in the middle m is c(m), by the solid angle of each pixel
@@ -188,14 +188,16 @@ def _middle(seen: PixelMap, centroid: FloatArray, half_angle: float) -> FloatArr
     """
     middle = centroid.copy()
     for _ in range(_ROUNDS if half_angle else 0):
-        middle = middle + centroid - _centroid_of(seen, middle, half_angle)
+        middle = middle + centroid - _centroid_of(pixel_map, middle, half_angle)
     return middle
 
 
-def _centroid_of(seen: PixelMap, middle: FloatArray, half_angle: float) -> FloatArray:
+def _centroid_of(pixel_map: PixelMap, middle: FloatArray, half_angle: float) -> FloatArray:
     """Column and row of the centroid of the light of a lamp that has its middle at a pixel."""
-    w = seen.directions(*middle)
-    beside = seen.directions(middle[0] + np.array([1.0, 0.0]), middle[1] + np.array([0.0, 1.0]))
+    w = pixel_map.directions(*middle)
+    beside = pixel_map.directions(
+        middle[0] + np.array([1.0, 0.0]), middle[1] + np.array([0.0, 1.0])
+    )
     per_pixel = np.linalg.norm(beside - w, axis=1).min()
     # The scale changes over the cone: half as much again is looked at, and a pixel around.
     reach = int(np.ceil(1.5 * half_angle / per_pixel)) + 1
@@ -203,8 +205,8 @@ def _centroid_of(seen: PixelMap, middle: FloatArray, half_angle: float) -> Float
     columns, rows = np.round(middle[0]) + near, np.round(middle[1]) + near
     fine = (np.arange(_FINE) + 0.5) / _FINE - 0.5
     x, y = (columns[:, None] + fine).ravel(), (rows[:, None] + fine).ravel()
-    sees = seen.directions(*np.meshgrid(x, y)) @ w >= np.cos(half_angle)
+    sees = pixel_map.directions(*np.meshgrid(x, y)) @ w >= np.cos(half_angle)
     light = sees.reshape(len(rows), _FINE, len(columns), _FINE).mean(axis=(1, 3))
-    light *= np.nan_to_num(seen.camera_solid_angles(*np.meshgrid(columns, rows)))
+    light *= np.nan_to_num(pixel_map.camera_solid_angles(*np.meshgrid(columns, rows)))
     moments = np.array([light.sum(axis=0) @ columns, light.sum(axis=1) @ rows])
     return np.asarray(moments / light.sum())

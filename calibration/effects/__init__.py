@@ -1,6 +1,6 @@
-"""Sources of error that samples share: one file is one source, found by looking into this folder.
+"""Sources of error that samples share. One file of this folder is one source of error.
 
-A file that defines `EFFECT = Effect(...)` is a source of error; nothing else has to be told of it.
+A file that defines `EFFECT = Effect(...)` is a source of error. No other file lists it.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ def all_effects() -> tuple[Effect, ...]:
     >>> "lamp_drift" in [effect.key for effect in all_effects()]
     True
     """
-    found = []
+    effects = []
     for info in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{info.name}")
         effect = getattr(module, "EFFECT", None)
         if isinstance(effect, Effect):
-            found.append(effect)
-    return tuple(sorted(found, key=lambda effect: (effect.order, effect.key)))
+            effects.append(effect)
+    return tuple(sorted(effects, key=lambda effect: (effect.order, effect.key)))
 
 
 def shared_terms(measured: Measured) -> tuple[SharedTerm, ...]:
-    """Every error that the samples of a session share, as far as its metadata tell of it."""
+    """Every error that the samples of a session share, as far as its metadata state them."""
     return tuple(
         replace(term, effect=effect.key)
         for effect in all_effects()
@@ -47,7 +47,7 @@ def shared_terms(measured: Measured) -> tuple[SharedTerm, ...]:
 
 
 def corrected(metadata: Metadata, images: list[ImageCells]) -> list[ImageCells]:
-    """The cells without what is known of the effects."""
+    """The cells, corrected for every effect whose size is known."""
     for effect in all_effects():
         if effect.corrected is not None:
             images = effect.corrected(metadata, images)
@@ -66,6 +66,6 @@ def unknown(metadata: Metadata, pixel_map: PixelMap) -> tuple[str, ...]:
 
 def notes(metadata: Metadata, pixel_map: PixelMap) -> tuple[str, ...]:
     """Lines of the history: what was corrected, what was assumed, what is unknown."""
-    told = [line for effect in all_effects() for line in effect.notes(metadata)]
+    lines = [line for effect in all_effects() for line in effect.notes(metadata)]
     missing = [f"unknown, not included: {text}" for text in unknown(metadata, pixel_map)]
-    return (*told, *missing)
+    return (*lines, *missing)

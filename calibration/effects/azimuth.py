@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.shared_term import SharedTerm
 
 RECORD = TermRecord("azimuth", "azimuth at which the sample lies")
@@ -23,10 +23,12 @@ EFFECT = Effect(
     key="azimuth",
     order=50,
     title="azimuth of the sample",
-    text="The zero of the sample's rotation may be off. It takes both directions along and acts "
-    "on anisotropic surfaces.",
+    text="The zero of the sample's rotation may be off. It turns both directions together and "
+    "matters for anisotropic surfaces.",
     records=(RECORD,),
     terms=terms,
     unknown=(Unknown("azimuth of the sample", "limits.u_azimuth_deg"),),
-    figures=(Figure("uncertainty of the sample's azimuth", "limits.u_azimuth_deg", "°"),),
+    quantities=(
+        StatedQuantity("uncertainty of the sample's azimuth", "limits.u_azimuth_deg", "°"),
+    ),
 )

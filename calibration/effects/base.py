@@ -1,9 +1,9 @@
-"""What a source of error is: one record, from which everything that is said of it derives.
+"""The record of a source of error. Everything that is said about it derives from this record.
 
-A file of this folder that defines `EFFECT = Effect(...)` is a source of error. The reduction takes
-its shared terms and its correction, the list of unknowns and the history its words, the budget and
-the report its names and figures, the manual all of it, and planning its properties. Nothing else
-has to be told of it, and nothing else knows it by name.
+A file of this folder that defines `EFFECT = Effect(...)` is a source of error. The reduction uses
+its shared terms and its correction. The list of unknowns and the history use its words. The budget
+and the report use its names and stated quantities, planning its properties, and the manual all of
+it. No other file lists it or knows its name.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class Measured:
     images : sequence of ImageCells
         In the order of the samples.
     image, incidence : ndarray of int64, shape (N,)
-        Image and incidence of every sample, channel by channel counted on.
+        Numbers of the image and of the incidence of every sample. They count on from one channel
+        to the next.
     """
 
     metadata: Metadata
@@ -76,7 +77,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class TermRecord:
-    """Words and properties of one of the shared terms of an effect.
+    """Words and properties of one shared term of an effect.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ class TermRecord:
     belongs_to : {"rig", "session"}
         Whether two sessions on one rig have the same draw of it, or each has its own.
     typical : bool
-        Whether a few typical patterns stand for a field of errors that nobody knows.
+        Whether a few typical patterns represent an unknown field of errors.
     """
 
     name: str
@@ -117,7 +118,7 @@ class TermRecord:
         ----------
         relative : float
         name, meaning : str, optional
-            In place of the record's, where it stands for several terms.
+            Used instead of the record's, if the record stands for several terms.
         **size
             Further fields of `SharedTerm`.
         """
@@ -139,7 +140,7 @@ class _IsUnknown(Protocol):
 
 @dataclass(frozen=True)
 class Unknown:
-    """Something that nobody may have stated, and that no uncertainty holds then.
+    """A quantity that may not be stated. No uncertainty includes it then.
 
     Parameters
     ----------
@@ -148,8 +149,8 @@ class Unknown:
     key : str
         Where it is stated in session.json; empty where it cannot be stated.
     holds : callable, optional
-        Called with metadata and pixel map: whether it is unknown. Without it, it is unknown where
-        the key has no value.
+        Called with metadata and pixel map. Returns whether it is unknown. By default it is unknown
+        if the key has no value.
     """
 
     words: str
@@ -175,8 +176,8 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A figure of the metadata by which the size of an effect is stated.
+class StatedQuantity:
+    """A quantity of the metadata that states the size of an effect.
 
     Parameters
     ----------
@@ -212,24 +213,24 @@ class Effect:
     key : str
         Name of its file.
     order : int
-        Place among the effects: their terms follow each other by it.
+        Position among the effects; their terms are listed in this order.
     title : str
         A few words for tables.
     text : str
-        What it is and what is done about it, sentences for the manual.
+        What it is and what is done about it: sentences for the manual.
     records : tuple of TermRecord
         Its shared terms, or kinds of them.
     terms : callable
-        Called with `Measured`: the shared terms of a session, as far as the metadata tell of them.
+        Called with `Measured`. Returns the shared terms of a session that the metadata state.
     unknown : tuple of Unknown
         What may be unknown of it.
-    figures : tuple of Figure
-        What states its size.
+    quantities : tuple of StatedQuantity
+        The quantities of the metadata that state its size.
     notes : callable
-        Called with the metadata: lines of the history about what was assumed or done.
+        Called with the metadata. Returns lines of the history: what was assumed or done.
     corrected : callable, optional
-        Called with the metadata and the images' cells: cells from which the effect is taken away,
-        as far as it is known.
+        Called with the metadata and the images' cells. Returns cells from which the effect is
+        removed as far as it is known.
     """
 
     key: str
@@ -239,7 +240,7 @@ class Effect:
     records: tuple[TermRecord, ...]
     terms: Callable[[Measured], Iterable[SharedTerm]]
     unknown: tuple[Unknown, ...] = ()
-    figures: tuple[Figure, ...] = ()
+    quantities: tuple[StatedQuantity, ...] = ()
     notes: Callable[[Metadata], tuple[str, ...]] = _nothing
     corrected: Callable[[Metadata, list[ImageCells]], list[ImageCells]] | None = None
 

@@ -1,11 +1,11 @@
-"""Errors of the calibrated figures behind the directions: those of the dome and of the lens."""
+"""Errors of the calibration of dome and lens, from which directions are computed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from gonio.calibration.dome.pixel_map import PixelMap, error_modes
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.metadata import Metadata
 from gonio.shared_term import SharedTerm
 
@@ -16,14 +16,14 @@ RECORDS = {
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """The independent errors of directions that the covariances of the figures make."""
-    seen = measured.pixel_map
-    for name, uncertain in seen.uncertain.items():
-        modes = error_modes(seen, uncertain, *measured.pixels)
+    """Independent errors of directions, from the covariances of dome and lens."""
+    pixel_map = measured.pixel_map
+    for name, uncertain in pixel_map.uncertain.items():
+        modes = error_modes(pixel_map, uncertain, *measured.pixels)
         for number, mode in enumerate(modes, start=1):
             yield RECORDS[name].shared(
                 name=f"{name}, mode {number}",
-                meaning=f"{RECORDS[name].meaning}: mostly {', '.join(mode.figures)}",
+                meaning=f"{RECORDS[name].meaning}: mostly {', '.join(mode.quantities)}",
                 shift=measured.in_sample_frame(mode.shift),
             )
 
@@ -40,8 +40,8 @@ EFFECT = Effect(
     key="calibrated_geometry",
     order=20,
     title="calibration of dome and lens",
-    text="R, D, the place of the pupil, the camera's azimuth, the focal length, the polynomial of "
-    "the lens and the image centre turn all directions together. Their covariances become "
+    text="R, D, the position of the pupil, the camera's azimuth, the focal length, the polynomial "
+    "of the lens and the image centre turn all directions together. Their covariances become "
     "independent modes, the largest first.",
     records=tuple(RECORDS.values()),
     terms=terms,
@@ -49,8 +49,8 @@ EFFECT = Effect(
         _not_stated("geometry", "geometry of the dome"),
         _not_stated("lens", "lens calibration"),
     ),
-    figures=(
-        Figure("uncertainty of the geometry", "geometry.uncertain"),
-        Figure("uncertainty of the lens", "lens.uncertain"),
+    quantities=(
+        StatedQuantity("uncertainty of the geometry", "geometry.uncertain"),
+        StatedQuantity("uncertainty of the lens", "lens.uncertain"),
     ),
 )

@@ -1,4 +1,4 @@
-"""Unknown, smooth slope errors of the dome: typical patterns stand for the field."""
+"""Unknown, smooth slope errors of the dome. Typical patterns represent the field."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.geometry import FloatArray, rotated
 from gonio.shared_term import SharedTerm
 
 # What slope errors do to a lobe, the component of the shift (0 in the plane of incidence, 1
-# across) and the axis along which it grows; None: alike all over.
+# across) and the axis along which it grows; None: constant over the lobe.
 _PATTERNS: tuple[tuple[str, str, int, int | None], ...] = (
     ("shift", "moves the lobe", 0, None),
     ("in plane", "stretches the lobe in the plane of incidence", 0, 0),
@@ -23,15 +23,15 @@ RECORDS = tuple(
     TermRecord(f"dome slope, {name}", f"slope errors of the dome: {meaning}", typical=True)
     for name, meaning, _, _ in _PATTERNS
 )
-# A dome that was drawn, where planning puts the field itself in the place of its patterns.
+# A dome that was drawn: planning uses the drawn field itself instead of the patterns.
 DRAWN = TermRecord("dome slope", "slope errors of the dome")
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
     """What unknown, smooth slope errors of the dome do to a lobe.
 
-    They shift directions by 2 e, alike over a correlation length L: a lobe is moved as a whole, and
-    stretched and sheared by 2 e / L. Along the plane of incidence and across it e has two
+    Slope errors e shift directions by 2 e and are correlated over a length L: they move a lobe as a
+    whole, and stretch and shear it by 2 e / L. Along the plane of incidence and across it e has two
     components and each of them two slopes, all independent; a sample turned by 45 deg shows the
     shears as a stretch. Incidences L apart see other parts of the dome; rotations of the sample at
     one incidence see the same.
@@ -41,7 +41,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
     if not (slope or rim_slope):
         return
     reach = np.radians(limits.slope_correlation_deg)
-    found: list[list[FloatArray]] = [[] for _ in _PATTERNS]
+    patterns: list[list[FloatArray]] = [[] for _ in _PATTERNS]
     for part in measured.images:
         rim = (part.theta_i / (np.pi / 2)) ** 6
         size = 2 * np.radians(slope + rim_slope * rim)
@@ -51,7 +51,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
         # Beyond L the error is another one: it grows no further. A stretch that fell off as the
         # correlation does would leave the finer shapes out, and with them half of alpha's error.
         distance = [np.clip((lab - mirror) @ axis, -reach, reach) / reach for axis in axes]
-        for kept, (_, _, component, slope_along) in zip(found, _PATTERNS, strict=True):
+        for kept, (_, _, component, slope_along) in zip(patterns, _PATTERNS, strict=True):
             grows = np.ones(len(lab)) if slope_along is None else distance[slope_along]
             shift = size * grows[:, None] * axes[component]
             # Only the part across the direction turns it.
@@ -60,7 +60,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
     theta_i = np.radians(measured.metadata.plan.theta_i_deg)
     # The dome is the same in every channel, whose incidences are counted on.
     group = np.floor(theta_i / reach).astype(np.int64)[measured.incidence % len(theta_i)]
-    for shifts, record in zip(found, RECORDS, strict=True):
+    for shifts, record in zip(patterns, RECORDS, strict=True):
         yield record.shared(group=group, shift=np.concatenate(shifts))
 
 
@@ -68,14 +68,14 @@ EFFECT = Effect(
     key="dome_slope",
     order=40,
     title="slope errors of the dome",
-    text="The dome's surface is tilted by small angles, alike over a correlation length. Nobody "
-    "knows the field; a shift, two stretches and two shears of the lobe at each incidence stand "
-    "for it. `gonio design` puts drawn fields in their place.",
+    text="The dome's surface is tilted by small angles that are correlated over some length. The "
+    "field is unknown. A shift, two stretches and two shears of the lobe at each incidence "
+    "represent it. `gonio design` uses drawn fields instead.",
     records=RECORDS,
     terms=terms,
     unknown=(Unknown("slope errors of the dome", "limits.slope_error_deg"),),
-    figures=(
-        Figure("slope error of the dome", "limits.slope_error_deg", "°"),
-        Figure("slope error added at the rim", "limits.rim_slope_error_deg", "°"),
+    quantities=(
+        StatedQuantity("slope error of the dome", "limits.slope_error_deg", "°"),
+        StatedQuantity("slope error added at the rim", "limits.rim_slope_error_deg", "°"),
     ),
 )

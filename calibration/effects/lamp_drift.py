@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.shared_term import SharedTerm
 
 SAMPLE = TermRecord("lamp, sample", "lamp output, image to image", belongs_to="session")
@@ -31,7 +31,7 @@ BACKGROUND_2 = TermRecord(
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """One draw for every image of the sample, and for those of standard and background.
+    """One draw for every image of sample, standard and background.
 
     With outputs 1 + m, 1 + s and 1 + b, f by eq. (2) changes by m (f + e) - s f (1 + r) -
     b (e - f r), where e is the stray light as f and r the stray light in the standard's image as a
@@ -64,5 +64,5 @@ EFFECT = Effect(
     records=(SAMPLE, STANDARD, BACKGROUND, BACKGROUND_2),
     terms=terms,
     unknown=(Unknown("lamp drift", "lamp.drift"),),
-    figures=(Figure("drift of the lamp, image to image", "lamp.drift"),),
+    quantities=(StatedQuantity("drift of the lamp, image to image", "lamp.drift"),),
 )

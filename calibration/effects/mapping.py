@@ -1,4 +1,4 @@
-"""What eq. (3) leaves out on a dome: the paper calls it an approximation."""
+"""The error of eq. (3), which the paper calls an approximation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RECORD = TermRecord("mapping", "what eq. (3) leaves out on this dome", constant=
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """Exact direction less that of eq. (3), where the session is mapped by eq. (3)."""
+    """Exact direction minus that of eq. (3), if the session is mapped by eq. (3)."""
     if measured.pixel_map.mapping == "eq3":
         shift = left_out(measured.pixel_map, *measured.pixels)
         yield RECORD.shared(shift=measured.in_sample_frame(shift))
@@ -23,8 +23,8 @@ EFFECT = Effect(
     order=10,
     title="approximation of eq. (3)",
     text="Eq. (3) turns a pixel into a direction only approximately, good to (D/R)^3 on an "
-    "ellipsoid. What it leaves out is computed by the law of reflection. `--mapping exact` does "
-    "without eq. (3) and without this error.",
+    "ellipsoid. The error is computed by the law of reflection. `--mapping exact` does not use "
+    "eq. (3) and does not have this error.",
     records=(RECORD,),
     terms=terms,
 )

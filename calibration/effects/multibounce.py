@@ -2,7 +2,7 @@
 
 The irradiance of a surface of albedo rho grows by 1 + g rho, and eq. (2) returns
 f (1 + g rho)/(1 + g rho_std): a dark sample comes out low by g rho_std. Where g is known with its
-uncertainty the reduction takes that back; the sample's albedo comes from its own image.
+uncertainty the reduction corrects for it. The sample's albedo comes from its own image.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.calibration.image_cells import ImageCells
 from gonio.geometry import FloatArray
 from gonio.metadata import Metadata
@@ -23,17 +23,17 @@ RECORD = TermRecord("multi-bounce", "light that reaches the sample twice", const
 
 
 def is_corrected(metadata: Metadata) -> bool:
-    """Whether the metadata say enough; light through a sheet goes other ways."""
+    """Whether g and its uncertainty are stated. There is no correction in transmission."""
     limits = metadata.limits
-    known = bool(limits.multibounce) and limits.u_multibounce is not None
-    return known and metadata.plan.mode == "reflection"
+    is_stated = bool(limits.multibounce) and limits.u_multibounce is not None
+    return is_stated and metadata.plan.mode == "reflection"
 
 
 def image_albedo(parts: Sequence[ImageCells]) -> tuple[float, float]:
     """Albedo that one image shows for its incidence, and its standard uncertainty.
 
-    The integral of f cos(theta_r) over the cells; what no cell sees, beyond the rim and in masked
-    pixels, is given the median f of the image, and half of that as its uncertainty.
+    The integral of f cos(theta_r) over the cells. Directions that no cell covers, beyond the rim
+    and in masked pixels, get the median f of the image, and half of that as its uncertainty.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ def corrected(metadata: Metadata, parts: list[ImageCells]) -> list[ImageCells]:
     images: dict[tuple[int, int, int], list[ImageCells]] = {}
     for part in parts:
         images.setdefault((part.channel, part.incidence, part.rotation), []).append(part)
-    known = {image: image_albedo(own) for image, own in images.items()}
+    albedos = {image: image_albedo(own) for image, own in images.items()}
     done = []
     for part in parts:
-        seen, u_rho = known[part.channel, part.incidence, part.rotation]
-        # seen = rho (1 + g rho)/(1 + g rho_std), of which rho is the positive root.
-        both = seen * (1 + g * rho_std)
+        apparent, u_rho = albedos[part.channel, part.incidence, part.rotation]
+        # apparent = rho (1 + g rho)/(1 + g rho_std), of which rho is the positive root.
+        both = apparent * (1 + g * rho_std)
         rho = 2 * both / (1 + np.sqrt(1 + 4 * g * both))
         factor = (1 + g * rho_std) / (1 + g * rho)
         # f is linear in the counts: its variances scale with the square.
@@ -74,12 +74,12 @@ def corrected(metadata: Metadata, parts: list[ImageCells]) -> list[ImageCells]:
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """The shared error: what the correction leaves, or all of it where there is none."""
+    """The error that the correction leaves, or the whole error if there is no correction."""
     metadata, images = measured.metadata, measured.images
     g = metadata.limits.multibounce
     if not g:
         return
-    # A session that is simulated draws g only where the operator states how far it is known.
+    # The simulator draws g only if its uncertainty is stated.
     constant = metadata.limits.u_multibounce is None
     if not is_corrected(metadata):
         # For any albedo the error is at most this.
@@ -108,14 +108,14 @@ EFFECT = Effect(
     order=90,
     title="light that returns to the sample",
     text="Light from the sample comes back to it by way of dome and lens: the irradiance of a "
-    "surface of albedo rho grows by 1 + g rho. Where g is stated with its uncertainty the "
-    "reduction takes that back, with the albedo that each image shows.",
+    "surface of albedo rho grows by 1 + g rho. If g is stated with its uncertainty, the "
+    "reduction corrects for it, with the albedo that each image shows.",
     records=(RECORD,),
     terms=terms,
     unknown=(Unknown("light that reaches the sample twice", "limits.multibounce"),),
-    figures=(
-        Figure("multi-bounce g", "limits.multibounce"),
-        Figure("uncertainty of the multi-bounce g", "limits.u_multibounce"),
+    quantities=(
+        StatedQuantity("multi-bounce g", "limits.multibounce"),
+        StatedQuantity("uncertainty of the multi-bounce g", "limits.u_multibounce"),
     ),
     notes=notes,
     corrected=corrected,

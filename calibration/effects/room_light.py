@@ -1,4 +1,4 @@
-"""Room light that sample and standard reflect, which no background holds."""
+"""Room light that sample and standard reflect. The background does not contain it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gonio.calibration.dome.pixel_map import PixelMap
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.metadata import Metadata
 from gonio.shared_term import SharedTerm
 
@@ -15,7 +15,7 @@ RECORD = TermRecord("room light", "room light that the sample reflects", constan
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """Room light of a times the lamp's irradiance at normal incidence.
+    """Room light whose irradiance is a times that of the lamp at normal incidence.
 
     It turns f into (f cos(theta_i) + a rho/pi)/(cos(theta_i) + a) for a sample that shows rho in
     even light; the image's own mean of f stands for rho/pi.
@@ -39,13 +39,13 @@ EFFECT = Effect(
     key="room_light",
     order=100,
     title="room light",
-    text="Light of the room that sample and standard reflect stands in no background, which is "
-    "taken without a sample. It makes lobes flatter.",
+    text="Sample and standard reflect light of the room. The background does not contain it, since "
+    "it is taken without a sample. It makes lobes flatter.",
     records=(RECORD,),
     terms=terms,
     unknown=(
         Unknown("room light that the sample reflects", "limits.ambient"),
         Unknown("room light on a sheet in transmission", holds=_on_a_sheet),
     ),
-    figures=(Figure("room light", "limits.ambient"),),
+    quantities=(StatedQuantity("room light", "limits.ambient"),),
 )

@@ -1,4 +1,4 @@
-"""The half-angle of the lamp's cone: the cells' members hold the cone, not how far it is known."""
+"""The half-angle of the lamp's cone. The cells include the cone, but not its uncertainty."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
 from gonio.metadata import Metadata
 from gonio.shared_term import SharedTerm
 
@@ -15,7 +15,7 @@ RECORD = TermRecord("source cone", "half-angle of the lamp's cone", constant=Tru
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """How far the half-angle a of the lamp may be off.
+    """The uncertainty u of the half-angle a of the lamp.
 
     A cone of a + u blurs by another sqrt((a + u)^2 - a^2)/2 on each axis.
     """
@@ -30,7 +30,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
 
 
 def notes(metadata: Metadata) -> tuple[str, ...]:
-    """What the blur of the cells rests on."""
+    """The half-angle that the cells include, and its uncertainty."""
     angle, u = metadata.lamp.half_angle_deg, metadata.lamp.u_half_angle_deg
     if not (angle or u) or angle is None:
         return ()
@@ -43,15 +43,15 @@ EFFECT = Effect(
     key="source_cone",
     order=30,
     title="cone of the lamp",
-    text="The lamp is seen from the sample under a cone, which blurs a lobe. The members of a cell "
-    "hold the cone; how far its half-angle is known is this error. Where no uncertainty is stated "
+    text="The sample sees the lamp as a cone, which blurs a lobe. The members of a cell include "
+    "the cone. This error is the uncertainty of its half-angle. If none is stated, "
     f"{ASSUMED_CONE:.0%} is assumed.",
     records=(RECORD,),
     terms=terms,
     unknown=(Unknown("the lamp's cone", "lamp.half_angle_deg"),),
-    figures=(
-        Figure("half-angle of the lamp", "lamp.half_angle_deg", "°"),
-        Figure("uncertainty of the lamp's half-angle", "lamp.u_half_angle_deg", "°"),
+    quantities=(
+        StatedQuantity("half-angle of the lamp", "lamp.half_angle_deg", "°"),
+        StatedQuantity("uncertainty of the lamp's half-angle", "lamp.u_half_angle_deg", "°"),
     ),
     notes=notes,
 )

@@ -1,4 +1,4 @@
-"""What the certificate of the white standard leaves open: its reflectance and its shape."""
+"""The uncertainty of the white standard's certificate: reflectance and angular shape."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gonio.calibration.effects.base import Effect, Figure, Measured, TermRecord
+from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord
 from gonio.geometry import angles
 from gonio.shared_term import SharedTerm
 
@@ -32,12 +32,16 @@ EFFECT = Effect(
     key="standard_certificate",
     order=60,
     title="white standard",
-    text="All values are in proportion to the certified reflectance of the standard. At high "
-    "theta_r the standard departs from a Lambertian one, as far as its certificate leaves open.",
+    text="All values are proportional to the certified reflectance of the standard. At high "
+    "theta_r the standard may depart from a Lambertian one, within the certificate's uncertainty.",
     records=(SCALE, SHAPE),
     terms=terms,
-    figures=(
-        Figure("relative uncertainty of the standard's reflectance", "standard.uncertainty"),
-        Figure("uncertainty of the standard's shape, at 75°", "standard.rolloff_uncertainty"),
+    quantities=(
+        StatedQuantity(
+            "relative uncertainty of the standard's reflectance", "standard.uncertainty"
+        ),
+        StatedQuantity(
+            "uncertainty of the standard's shape, at 75°", "standard.rolloff_uncertainty"
+        ),
     ),
 )

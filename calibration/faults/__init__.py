@@ -1,6 +1,6 @@
-"""What is wrong with a session: one file is one question, found by looking into this folder.
+"""What is wrong with a session. One file of this folder is one question.
 
-A file that defines `QUESTION = Question(...)` is a question; nothing else has to be told of it.
+A file that defines `QUESTION = Question(...)` is a question. No other file lists it.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ def all_questions() -> tuple[Question, ...]:
     >>> "dark_level" in [question.key for question in all_questions()]
     True
     """
-    found = []
+    questions = []
     for info in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{info.name}")
         question = getattr(module, "QUESTION", None)
         if isinstance(question, Question):
-            found.append(question)
-    return tuple(sorted(found, key=lambda question: (question.order, question.key)))
+            questions.append(question)
+    return tuple(sorted(questions, key=lambda question: (question.order, question.key)))
 
 
 def findings(evidence: Evidence) -> tuple[Finding, ...]:
     """Everything that is wrong with a channel, errors first."""
-    found = [finding for question in all_questions() for finding in question.ask(evidence)]
-    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+    answers = [finding for question in all_questions() for finding in question.ask(evidence)]
+    return tuple(sorted(answers, key=lambda finding: finding.severity != "error"))

@@ -1,4 +1,4 @@
-"""Does the sample reflect more than falls on it? Then it is the standard, or that is not."""
+"""Does the sample reflect more light than falls on it? Then frames may be exchanged."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ ALBEDO = 1.1
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
-    """A sample that reflects more than falls on it is the standard, or the standard is not."""
+    """An albedo above 1: sample and standard are exchanged, or the standard is another one."""
     metadata, regions = evidence.metadata, evidence.regions
     across = np.cross(np.gradient(regions.w_r, axis=0), np.gradient(regions.w_r, axis=1))
     weight = np.linalg.norm(across, axis=-1) * regions.w_r[..., 2] * (regions.cover > 0.99)
     signals = standard_signals(evidence)
     alone = metadata.plan.standard_theta_i_deg is not None
     albedos = []
-    for image, figures in evidence.of("sample"):
+    for image, statistics in evidence.of("sample"):
         black = evidence.mean("background", image[2])
         white = signals.get(0 if alone else image[2])
         if black is None or white is None:
@@ -30,10 +30,10 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         scale = eq2.irradiance_ratio(metadata, evidence.theta_i(image)) if alone else 1.0
         cosine = np.cos(evidence.theta_i(("standard", 0, 0 if alone else image[2])))
         with np.errstate(divide="ignore", invalid="ignore"):
-            f = (figures.rate - black) / (white * cosine) * scale
-        known = np.isfinite(f)
-        if known.any():
-            albedos.append(np.pi * np.sum((weight * f)[known]) / np.sum(weight[known]))
+            f = (statistics.rate - black) / (white * cosine) * scale
+        finite = np.isfinite(f)
+        if finite.any():
+            albedos.append(np.pi * np.sum((weight * f)[finite]) / np.sum(weight[finite]))
     if albedos and np.median(albedos) > ALBEDO:
         yield Finding(
             "brighter_than_white",

@@ -1,7 +1,7 @@
-"""What a question to a session is: one record, from which everything said of it derives.
+"""The record of a question to a session. Everything that is said about it derives from this.
 
 A file of this folder that defines `QUESTION = Question(...)` is a question. Every reduction and
-every import asks it of what the images left behind; the manual lists it.
+every import asks it of the statistics of the images. The manual lists it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Finding:
     severity : {"error", "warning"}
         An error stops the reduction.
     text : str
-        One sentence that names the frame and the figure.
+        One sentence that names the frame and gives the value.
     """
 
     code: str
@@ -48,7 +48,7 @@ class Question:
     key : str
         Name of its file.
     order : int
-        Place among the questions: findings of one severity follow each other by it.
+        Position among the questions; findings of one severity are listed in this order.
     asks : str
         The question in words.
     compares : str
@@ -56,7 +56,7 @@ class Question:
     codes : tuple of str
         Codes of the findings that it may lead to.
     ask : callable
-        Called with the evidence of one channel: what is wrong.
+        Called with the evidence of one channel. Yields what is wrong.
     """
 
     key: str

@@ -13,7 +13,9 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     camera = evidence.metadata.camera
     images = evidence.of("background", "standard", "sample")
     cut = [
-        (figures.cut_off_dn, image) for image, figures in images if figures.cut_off_dn is not None
+        (statistics.cut_off_dn, image)
+        for image, statistics in images
+        if statistics.cut_off_dn is not None
     ]
     if cut:
         count, image = max(cut, key=lambda each: each[0])
@@ -25,7 +27,7 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
             f"{camera.saturation_dn}{bits}. Saturated pixels would pass for good ones: correct "
             "session.json.",
         )
-    steps = {figures.step for _, figures in evidence.of("standard", "sample")}
+    steps = {statistics.step for _, statistics in evidence.of("standard", "sample")}
     step = min(steps, default=1)
     if step > 1:
         yield Finding(

@@ -12,9 +12,9 @@ from gonio.calibration.faults.frame_statistics import ZEROS
 def ask(evidence: Evidence) -> Iterator[Finding]:
     cut = [
         (share, image, k)
-        for image, figures in evidence.of("background", "standard", "sample")
-        for k, share in enumerate(figures.zeros)
-        if share > ZEROS and min(figures.zeros) < 1
+        for image, statistics in evidence.of("background", "standard", "sample")
+        for k, share in enumerate(statistics.zeros)
+        if share > ZEROS and min(statistics.zeros) < 1
     ]
     if cut:
         share, image, k = max(cut, key=lambda each: each[0])

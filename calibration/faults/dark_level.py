@@ -9,7 +9,7 @@ from gonio.calibration.faults.evidence import Evidence, Image
 from gonio.calibration.faults.frame_statistics import ZEROS, middle
 from gonio.metadata import Camera
 
-SIGMAS = 5.0  # that a figure must stand out by
+SIGMAS = 5.0  # that a level must stand out by
 DARK_DN = 0.5  # counts by which the dark level may be off
 
 
@@ -17,9 +17,9 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     """The level well outside the image circle against black level and dark current."""
     camera, times = evidence.metadata.camera, evidence.metadata.plan.exposures_s
     off: list[tuple[float, Image, int, float]] = []
-    for image, figures in evidence.of("background", "standard", "sample"):
-        for k, level in enumerate(figures.dark_dn):
-            if level is None or figures.zeros[k] > ZEROS:
+    for image, statistics in evidence.of("background", "standard", "sample"):
+        for k, level in enumerate(statistics.dark_dn):
+            if level is None or statistics.zeros[k] > ZEROS:
                 continue
             dark, allowed = _dark_dn(camera, times[k])
             excess = level[0] - camera.black_dn - dark

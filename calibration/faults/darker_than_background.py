@@ -1,4 +1,4 @@
-"""Is anything darker than its background? The lamp stood elsewhere then."""
+"""Is anything darker than its background? Then the lamp stood elsewhere."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence, Image
 from gonio.calibration.faults.standard_levels import FEWEST
 
-SIGMAS = 5.0  # that a figure must stand out by
+SIGMAS = 5.0  # that a signal must stand out by
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
-    """Nothing may be darker than its background: the lamp stood elsewhere."""
+    """An image that is darker than its background: the lamp stood elsewhere."""
     metadata = evidence.metadata
     drift = 0.02 if metadata.lamp.drift is None else metadata.lamp.drift
     white = evidence.mean("standard", 0)
-    found: list[tuple[float, Image, int]] = []
-    for image, figures in evidence.of("standard", "sample"):
+    darker: list[tuple[float, Image, int]] = []
+    for image, statistics in evidence.of("standard", "sample"):
         alone = image[0] == "standard" and metadata.plan.standard_theta_i_deg is not None
         own = len(metadata.plan.theta_i_deg) if alone else image[2]
         black = evidence.mean("background", own)
@@ -27,20 +27,20 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
             continue
         noise = evidence.images["background", 0, own].sd
         stray = np.maximum(black - metadata.camera.dark_e_per_s, 0)
-        floor = -8 * np.hypot(figures.sd, noise) - SIGMAS * drift * stray
+        floor = -8 * np.hypot(statistics.sd, noise) - SIGMAS * drift * stray
         missing = (evidence.regions.cover > 0) & (
-            figures.rate - black < np.minimum(floor, -0.02 * white)
+            statistics.rate - black < np.minimum(floor, -0.02 * white)
         )
         if missing.sum() >= FEWEST:
-            most = float((black - figures.rate)[missing].max())
-            found.append((most, image, int(missing.sum())))
-    if found:
-        most, image, n = max(found, key=lambda each: each[0])
+            most = float((black - statistics.rate)[missing].max())
+            darker.append((most, image, int(missing.sum())))
+    if darker:
+        most, image, n = max(darker, key=lambda each: each[0])
         yield Finding(
             "darker_than_background",
             "error",
             f"{evidence.name(image)}: in {n} places it is darker than its background, by up to "
-            f"{most:.3g} e-/s, as in {len(found)} images: frames of two incidences are exchanged, "
+            f"{most:.3g} e-/s, as in {len(darker)} images: frames of two incidences are exchanged, "
             "or the lamp moved between the two.",
         )
 

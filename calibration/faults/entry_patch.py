@@ -19,11 +19,11 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     metadata, regions = evidence.metadata, evidence.regions
     if metadata.plan.mode == "transmission":
         return
-    for image, figures in evidence.of("background"):
-        known = (regions.cover > 0) & np.isfinite(figures.rate)
-        light = np.where(known, figures.rate - metadata.camera.dark_e_per_s, 0.0)
-        most, usual = float(light.max()), middle(light[known])
-        if not most > 8 * max(usual, 0.0) + 10 * middle(figures.sd[known]):
+    for image, statistics in evidence.of("background"):
+        usable = (regions.cover > 0) & np.isfinite(statistics.rate)
+        light = np.where(usable, statistics.rate - metadata.camera.dark_e_per_s, 0.0)
+        most, usual = float(light.max()), middle(light[usable])
+        if not most > 8 * max(usual, 0.0) + 10 * middle(statistics.sd[usable]):
             continue
         patch = light > most / 2
         centre = np.sum(regions.w_r[patch] * light[patch][:, None], axis=0)

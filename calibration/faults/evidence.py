@@ -1,11 +1,11 @@
-"""What the images of a session leave behind for the search for faults."""
+"""Statistics of the images of a session, for the search for faults."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.calibration.faults.frame_statistics import Figures, Regions, figures
+from gonio.calibration.faults.frame_statistics import ImageStatistics, Regions, image_statistics
 from gonio.calibration.frames.exposure import Rate
 from gonio.calibration.frames.standard import Reference
 from gonio.geometry import FloatArray
@@ -15,13 +15,13 @@ Image = tuple[str, int, int]  # role, take, incidence
 
 
 class Evidence:
-    """What the images of a session leave behind when they are read.
+    """Statistics of the images of a session, gathered while they are read.
 
     Parameters
     ----------
     metadata : Metadata
     theta_r, phi_r : ndarray, shape (rows, columns)
-        Where the pixels look, radians, frame of the laboratory; NaN outside the image circle.
+        Directions of the pixels, radians, frame of the laboratory; NaN outside the image circle.
     """
 
     def __init__(self, metadata: Metadata, theta_r: FloatArray, phi_r: FloatArray) -> None:
@@ -29,25 +29,27 @@ class Evidence:
         usable = np.radians(metadata.geometry.usable_theta_r_deg)
         self.regions = Regions.of(theta_r, phi_r, usable)
         self.circle = np.isfinite(theta_r)
-        self.images: dict[Image, Figures] = {}
+        self.images: dict[Image, ImageStatistics] = {}
         self.bad: dict[str, dict[int, NDArray[np.bool_]]] = {"dead": {}, "hot": {}}
         self.background: Rate | None = None
 
     # A reader of frames calls the next two (`gonio.calibration.frames.reader`).
-    def see(
+    def add_image(
         self, role: str, take: int, incidence: int, bracket: NDArray[np.uint16], rate: Rate
     ) -> None:
-        """Take the figures of one image: images may come in any order, from any thread."""
+        """Add the statistics of one image. Images may come in any order and from any thread."""
         if (role, take, incidence) == ("background", 0, 0):
             self.background = rate
-        self.images[role, take, incidence] = figures(bracket, rate, self.metadata, self.regions)
+        self.images[role, take, incidence] = image_statistics(
+            bracket, rate, self.metadata, self.regions
+        )
 
-    def see_reference(self, incidence: int, reference: Reference) -> None:
-        """Take the dead and hot pixels of one incidence."""
+    def add_reference(self, incidence: int, reference: Reference) -> None:
+        """Add the dead and hot pixels of one incidence."""
         self.bad["dead"][incidence] = reference.dead & self.regions.inside
         self.bad["hot"][incidence] = reference.hot & self.regions.inside
 
-    def of(self, *roles: str) -> list[tuple[Image, Figures]]:
+    def of(self, *roles: str) -> list[tuple[Image, ImageStatistics]]:
         """The images of these roles, in order."""
         return [(key, self.images[key]) for key in sorted(self.images) if key[0] in roles]
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence, Image
-from gonio.calibration.faults.frame_statistics import Figure
+from gonio.calibration.faults.frame_statistics import ValueWithError
 
-SIGMAS = 5.0  # that a figure must stand out by
+SIGMAS = 5.0  # that a ratio must stand out by
 GROWTH = 0.05  # by which a signal may fail to grow as the exposure
 
 
@@ -18,11 +18,11 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     """Counts must grow as the exposure does."""
     times = evidence.metadata.plan.exposures_s
     wrong: list[tuple[float, Image, int, float]] = []
-    for image, figures in evidence.of("standard", "sample"):
-        for k, figure in enumerate(figures.growth, start=1):
+    for image, statistics in evidence.of("standard", "sample"):
+        for k, ratio in enumerate(statistics.growth, start=1):
             expected = times[k] / times[k - 1]
-            if figure is not None and _stands_out(figure, expected, GROWTH * expected):
-                wrong.append((abs(np.log(max(figure[0], 1e-6) / expected)), image, k, figure[0]))
+            if ratio is not None and _stands_out(ratio, expected, GROWTH * expected):
+                wrong.append((abs(np.log(max(ratio[0], 1e-6) / expected)), image, k, ratio[0]))
     if not wrong:
         return
     _, image, k, growth = max(wrong, key=lambda each: each[0])
@@ -48,8 +48,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _stands_out(figure: Figure, expected: float, tolerance: float) -> bool:
-    return abs(figure[0] - expected) > max(tolerance, SIGMAS * figure[1])
+def _stands_out(ratio: ValueWithError, expected: float, tolerance: float) -> bool:
+    return abs(ratio[0] - expected) > max(tolerance, SIGMAS * ratio[1])
 
 
 QUESTION = Question(

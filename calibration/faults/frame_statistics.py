@@ -1,4 +1,4 @@
-"""The few figures that every image leaves behind when it is read, for `faults` to judge."""
+"""Statistics of every image, computed when it is read. `faults` judges a session by them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from gonio.metadata import Metadata
 
 GRID = 64  # blocks along the longer side of a frame, about
 CLEAR = 6  # pixels beyond the image circle that still count as lit
-MANY = 4000  # pixels that are enough for a figure of a frame
+MANY = 4000  # pixels that are enough for a statistic of a frame
 BRIGHT = (0.1, 0.85)  # of the range of counts, between which exposures are compared
 ZEROS = 0.01  # share of counts at 0 from which on they are cut off
 FEWEST = 30  # pixels that an average takes at least
 BEYOND = 1.3  # times the largest count that a frame before predicts where counts are cut off
 
-Figure = tuple[float, float]  # value and its standard error
+ValueWithError = tuple[float, float]  # value and its standard error
 
 
 @dataclass(frozen=True)
 class Regions:
-    """Places of a frame: pixels that see the dome, pixels in the dark, and a coarse grid.
+    """Regions of a frame: pixels that see the dome, pixels in the dark, and a coarse grid.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ class Regions:
     cover : ndarray
         Share of each block that lies inside.
     w_r : ndarray, shape (..., 3)
-        Where the blocks look; 0 where they do not see the dome.
+        Directions that the blocks see; 0 if they do not see the dome.
     some_inside, some_dark, some : ndarray of int64
-        Flat indices of some pixels inside, in the dark, and anywhere: enough for a figure.
+        Flat indices of some pixels inside, in the dark, and anywhere: enough for a statistic.
     """
 
     inside: NDArray[np.bool_]
@@ -74,8 +74,8 @@ class Regions:
 
 
 @dataclass(frozen=True)
-class Figures:
-    """What one image, a bracket of exposures, leaves behind.
+class ImageStatistics:
+    """Statistics of one image, a bracket of exposures.
 
     Parameters
     ----------
@@ -100,24 +100,24 @@ class Figures:
     rate: FloatArray
     sd: FloatArray
     saturated: float
-    dark_dn: tuple[Figure | None, ...]
+    dark_dn: tuple[ValueWithError | None, ...]
     zeros: tuple[float, ...]
-    growth: tuple[Figure | None, ...]
+    growth: tuple[ValueWithError | None, ...]
     cut_off_dn: int | None
     step: int
     prints: tuple[int | None, ...]
 
 
 def middle(values: FloatArray) -> float:
-    """Median of what is finite; NaN of nothing.
+    """Median of the finite values; NaN if there are none.
 
     Examples
     --------
     >>> middle(np.array([1.0, np.nan, 3.0])), middle(np.array([np.nan]))
     (2.0, nan)
     """
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else float("nan")
 
 
 def coarse(image: FloatArray, block: int) -> FloatArray:
@@ -136,10 +136,10 @@ def coarse(image: FloatArray, block: int) -> FloatArray:
     return np.asarray(total / np.outer(height, width))
 
 
-def figures(
+def image_statistics(
     bracket: NDArray[np.uint16], rate: Rate, metadata: Metadata, regions: Regions
-) -> Figures:
-    """Figures of one image.
+) -> ImageStatistics:
+    """Statistics of one image.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def figures(
     levels = tuple(_level(frame) for frame in flat[:, regions.some_dark])
     growth, cut_off = _growth(counts, levels, metadata)
     few = flat[:, regions.some]
-    return Figures(
+    return ImageStatistics(
         rate=image,
         sd=sd,
         saturated=float(np.mean(rate.saturated[regions.inside])) if regions.inside.any() else 0.0,
@@ -169,7 +169,7 @@ def figures(
 
 
 def _some(index: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most so many of the pixels, spread over all."""
+    """At most `most` of the pixels, spread over all."""
     # An odd stride does not stay in the same columns.
     return index[:: max(len(index) // most, 1) | 1]
 
@@ -185,8 +185,8 @@ def _coarse_rate(rate: Rate, block: int) -> tuple[FloatArray, FloatArray]:
     return mean, np.sqrt(coarse(variance, block) / some / n)
 
 
-def _level(counts: NDArray[np.uint16]) -> Figure | None:
-    """Mean and its error without outliers such as hot pixels; None of too few."""
+def _level(counts: NDArray[np.uint16]) -> ValueWithError | None:
+    """Mean and its error without outliers such as hot pixels; None if there are too few counts."""
     if len(counts) < FEWEST:
         return None
     x = counts.astype(float)
@@ -197,8 +197,8 @@ def _level(counts: NDArray[np.uint16]) -> Figure | None:
 
 
 def _growth(
-    counts: NDArray[np.uint16], levels: tuple[Figure | None, ...], metadata: Metadata
-) -> tuple[tuple[Figure | None, ...], int | None]:
+    counts: NDArray[np.uint16], levels: tuple[ValueWithError | None, ...], metadata: Metadata
+) -> tuple[tuple[ValueWithError | None, ...], int | None]:
     """Growth from exposure to exposure, and the count at which one is cut off too early.
 
     A straight response is counted from the dark corners, where there are any: a dark level that
@@ -212,7 +212,7 @@ def _growth(
         linear = (counts - np.array(dark)[:, None]) / camera.gain_dn_per_e
     else:
         linear = response_tables(camera)[0][counts]
-    growth: list[Figure | None] = []
+    growth: list[ValueWithError | None] = []
     cut_off = None
     for k in range(1, len(counts)):
         share = (counts[k] - camera.black_dn) / range_dn
@@ -229,7 +229,7 @@ def _growth(
     return tuple(growth), cut_off
 
 
-def _ratio(before: FloatArray, now: FloatArray, metadata: Metadata) -> Figure | None:
+def _ratio(before: FloatArray, now: FloatArray, metadata: Metadata) -> ValueWithError | None:
     """Sum of one exposure's electrons over that of the one before, with its error."""
     if len(now) < FEWEST or before.sum() <= 0:
         return None

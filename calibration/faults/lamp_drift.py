@@ -34,8 +34,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         how = "about a smooth trend with the incidence"
     elif plan.repeats > 1:
         takes = defaultdict(list)
-        for (_, _, i), figures in evidence.of("standard"):
-            takes[i].append(middle(figures.rate))
+        for (_, _, i), statistics in evidence.of("standard"):
+            takes[i].append(middle(statistics.rate))
         scatter = float(np.sqrt(np.mean([np.var(np.log(x), ddof=1) for x in takes.values()])))
         how = "among its repeats"
     # With two degrees of freedom chance passes 3.5 times the sd once in 200 000.

@@ -10,8 +10,8 @@ from gonio.calibration.faults.evidence import Evidence
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     camera = evidence.metadata.camera
-    for image, figures in evidence.of("background"):
-        if min(figures.zeros) == 1:
+    for image, statistics in evidence.of("background"):
+        if min(statistics.zeros) == 1:
             # A camera without a black level may be that dark.
             possible = camera.black_dn <= 3 * camera.noise_dn
             yield Finding(

@@ -11,14 +11,14 @@ from gonio.calibration.faults.evidence import Evidence
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     """The same frame twice, noise and all."""
-    places = defaultdict(list)
-    for image, figures in evidence.of("background", "standard", "sample"):
-        for k, mark in enumerate(figures.prints):
-            if mark is not None:
-                places[mark].append((image, k))
-    twins = [place for place in places.values() if len(place) > 1]
-    for place in twins[:1]:
-        (a, j), (b, k) = place[:2]
+    frames_of = defaultdict(list)
+    for image, statistics in evidence.of("background", "standard", "sample"):
+        for k, fingerprint in enumerate(statistics.prints):
+            if fingerprint is not None:
+                frames_of[fingerprint].append((image, k))
+    twins = [frames for frames in frames_of.values() if len(frames) > 1]
+    for frames in twins[:1]:
+        (a, j), (b, k) = frames[:2]
         code = "missing_background" if "background" in (a[0], b[0]) else "same_frame"
         more = f" There are {len(twins)} such pairs." if len(twins) > 1 else ""
         yield Finding(

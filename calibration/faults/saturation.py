@@ -12,7 +12,7 @@ SATURATED = 0.005  # share of saturated pixels
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     for role in ("background", "standard", "sample"):
-        full = [(figures.saturated, image) for image, figures in evidence.of(role)]
+        full = [(statistics.saturated, image) for image, statistics in evidence.of(role)]
         full = [each for each in full if each[0] > SATURATED]
         if full:
             share, image = max(full, key=lambda each: each[0])

@@ -1,12 +1,13 @@
-"""What is wrong with the frames of a session, named: frame, figure, consequence.
+"""What is wrong with the frames of a session: frame, value and consequence of each fault.
 
-Every image leaves a few figures behind when it is read (`frame_statistics`); at the end they are
+A few statistics of every image are kept when it is read (`frame_statistics`). At the end they are
 compared with the session's metadata and with each other, one question a file. A finding is an error
-where samples would be wrong and nobody would see it, else a warning. Nothing here repairs anything:
-dead, hot and saturated pixels are masked where they are met.
+if samples would be wrong without any sign of it, else a warning. Nothing here repairs anything: the
+reduction masks dead, hot and saturated pixels.
 
-What data cannot tell is not judged: a standard of another reflectance scales every image alike, and
-a lamp that drifts smoothly with the incidence looks like a dome whose transmittance varies.
+Faults that the frames do not show are not judged. A standard of another reflectance scales all
+images by one factor, and a lamp that drifts smoothly with the incidence looks like a dome whose
+transmittance varies.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def inspected(
     *,
     force: bool = False,
 ) -> tuple[Work, tuple[Finding, ...]]:
-    """Do work on the frames of a session and ask afterwards what was wrong with those it read.
+    """Process the frames of a session, then ask what is wrong with the frames that were read.
 
     Parameters
     ----------
@@ -49,11 +50,11 @@ def inspected(
     metadata : Metadata
         Of the session, with a calibrated geometry in place where there is one.
     theta_r, phi_r : ndarray, shape (rows, columns)
-        Where the pixels look, radians, frame of the laboratory; NaN outside the image circle.
+        Directions of the pixels, radians, frame of the laboratory; NaN outside the image circle.
     work : callable
         Called with one reader of frames for each channel.
     force : bool
-        Go on where an error is found.
+        Continue if an error is found.
 
     Returns
     -------
@@ -70,23 +71,23 @@ def inspected(
     channels = range(len(metadata.plan.channels))
     evidence = [Evidence(metadata, theta_r, phi_r) for _ in channels]
     done = work([FrameReader(session, k, theta_r, phi_r, evidence[k]) for k in channels])
-    found = _of_channels(metadata.plan, evidence)
-    errors = [finding for finding in found if finding.severity == "error"]
+    wrong = _of_channels(metadata.plan, evidence)
+    errors = [finding for finding in wrong if finding.severity == "error"]
     if errors and not force:
         more = f" ({len(errors) - 1} more such findings.)" if len(errors) > 1 else ""
         raise DataError(f"{session.path}: {errors[0].text}{more}", value=errors)
-    return done, found
+    return done, wrong
 
 
 def _of_channels(plan: Plan, evidence: Sequence[Evidence]) -> tuple[Finding, ...]:
     """What is wrong with the frames, channel by channel, errors first."""
-    found: list[Finding] = []
-    for channel, seen in zip(plan.channels, evidence, strict=True):
-        own = findings(seen)
+    wrong: list[Finding] = []
+    for channel, of_channel in zip(plan.channels, evidence, strict=True):
+        own = findings(of_channel)
         if len(evidence) > 1:
             own = tuple(replace(f, text=f"channel {channel.name}: {f.text}") for f in own)
-        found += own
-    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+        wrong += own
+    return tuple(sorted(wrong, key=lambda finding: finding.severity != "error"))
 
 
 def check_session(session: Session, *, threads: int | None = None) -> tuple[Finding, ...]:
@@ -97,7 +98,7 @@ def check_session(session: Session, *, threads: int | None = None) -> tuple[Find
     session : Session
         Complete.
     threads : int, optional
-        The findings do not depend on it.
+        Number of worker threads; the findings do not depend on it.
     """
     session.require_complete()
     metadata, plan = session.metadata, session.metadata.plan

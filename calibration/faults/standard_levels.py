@@ -1,4 +1,4 @@
-"""The standard against the cosine of the incidence: what several questions compare."""
+"""Signals of the standard over the cosine of the incidence, which several questions use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gonio.calibration.faults.frame_statistics import middle
 from gonio.calibration.frames import standard as eq2
 from gonio.geometry import FloatArray, angles
 
-FEWEST = 3  # blocks of the coarse grid that count as a place
+FEWEST = 3  # blocks of the coarse grid; fewer are not judged
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class StandardLevels:
     ratio : mapping of int to ndarray
         Coarse image of the signal over the median of all incidences; NaN where it says nothing.
     level : mapping of int to float
-        Median of the ratio, where enough of the image is known.
+        Median of the ratio, if enough blocks of the image have one.
     angle : mapping of int to float
         theta_i, radians, of the incidences that have a level.
     """
@@ -88,10 +88,10 @@ def standard_signals(evidence: Evidence) -> dict[int, FloatArray]:
 
 
 def _median(stack: FloatArray) -> FloatArray:
-    """Median over the first axis of what is known; NaN where nothing is."""
-    known = np.isfinite(stack)
-    ordered = np.sort(np.where(known, stack, np.inf), axis=0)
-    n = known.sum(axis=0)
+    """Median of the finite values over the first axis; NaN where there are none."""
+    finite = np.isfinite(stack)
+    ordered = np.sort(np.where(finite, stack, np.inf), axis=0)
+    n = finite.sum(axis=0)
     low, high = (
         np.take_along_axis(ordered, np.maximum(k, 0)[None], axis=0)[0]
         for k in ((n - 1) // 2, n // 2 - (n == 0))

@@ -22,11 +22,11 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     spread = {}
     for i, x in levels.level.items():
         relative = levels.ratio[i] / x
-        known = np.isfinite(relative)
+        finite = np.isfinite(relative)
         # Means of 3 x 3 blocks: noise must not pass for shape.
-        share = uniform_filter(known.astype(float), 3)
-        smooth = uniform_filter(np.where(known, relative, 0.0), 3) / np.where(known, share, 1.0)
-        inner = smooth[known & (share > 0.99)]
+        share = uniform_filter(finite.astype(float), 3)
+        smooth = uniform_filter(np.where(finite, relative, 0.0), 3) / np.where(finite, share, 1.0)
+        inner = smooth[finite & (share > 0.99)]
         if len(inner) > FEWEST:
             low, high = np.percentile(inner, [5, 95])
             spread[i] = float(high - low) / 2

@@ -58,7 +58,7 @@ def merge(bracket: NDArray[np.uint16], exposures_s: tuple[float, ...], camera: C
     exposures_s : tuple of float
         Exposure times, growing.
     camera : Camera
-        Gain, black level, response, noise and limits of the counts.
+        Gain, black level, response, noise and range of the counts.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The frames of one channel, read and merged; whoever listens hears of every image."""
+"""Reads and merges the frames of one channel, and passes every image to a listener."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from gonio.session import Session
 
 
 class Listener(Protocol):
-    """What hears of every image that is read and of every reference that is made of them.
+    """Receives every image that is read and every reference that is made of them.
 
-    It is called from any thread, in any order, and keeps what it needs: frames and rates are not
-    held for it.
+    It is called from any thread and in any order. It must keep what it needs: the reader keeps
+    neither frames nor rates.
     """
 
-    def see(
+    def add_image(
         self, role: str, take: int, incidence: int, bracket: NDArray[np.uint16], rate: Rate
     ) -> None:
         """An image was read."""
 
-    def see_reference(self, incidence: int, reference: Reference) -> None:
+    def add_reference(self, incidence: int, reference: Reference) -> None:
         """Standard and background of an incidence were put together."""
 
 
@@ -40,7 +40,7 @@ class FrameReader:
     session : Session
     channel : int
     theta_r, phi_r : ndarray, shape (rows, columns)
-        Where the pixels look, radians, frame of the laboratory; NaN outside the image circle.
+        Directions of the pixels, radians, frame of the laboratory; NaN outside the image circle.
     listener : Listener, optional
     """
 
@@ -56,7 +56,7 @@ class FrameReader:
         bracket = self.session.bracket(role, take, incidence, channel=self.channel)
         rate = merge(bracket, metadata.plan.exposures_s, metadata.camera)
         if self.listener is not None:
-            self.listener.see(role, take, incidence, bracket, rate)
+            self.listener.add_image(role, take, incidence, bracket, rate)
         return rate
 
     def averaged(self, role: str, incidence: int) -> Rate:
@@ -83,7 +83,7 @@ class FrameReader:
                 self.averaged("background", len(plan.theta_i_deg)) if alone else None
             ),
         )
-        return self._heard(incidence, made)
+        return self._reported(incidence, made)
 
     def standard_images(self, incidence: int) -> tuple[tuple[str, int, int], tuple[str, int, int]]:
         """First take of the standard at one of its incidences, and of the background it needs."""
@@ -99,9 +99,9 @@ class FrameReader:
         theta_i = float(np.radians(metadata.plan.incidences("standard")[incidence]))
         f_std = standard.standard_brdf(metadata.standard, theta_i, self.theta_r, self.phi_r)
         dark = metadata.camera.dark_e_per_s
-        return self._heard(incidence, standard.reference(black, white, f_std, dark_e_per_s=dark))
+        return self._reported(incidence, standard.reference(black, white, f_std, dark_e_per_s=dark))
 
-    def _heard(self, incidence: int, reference: Reference) -> Reference:
+    def _reported(self, incidence: int, reference: Reference) -> Reference:
         if self.listener is not None:
-            self.listener.see_reference(incidence, reference)
+            self.listener.add_reference(incidence, reference)
         return reference

@@ -1,7 +1,7 @@
 """Background and standard: Ward's eq. (2), with its variance.
 
 f = (M - B) / (S - B) f_std with M, B, S the rates of sample, background and standard. Everything
-that multiplies sample and standard alike cancels: quantum efficiency, lens, pixel area, dome
+that multiplies both sample and standard cancels: quantum efficiency, lens, pixel area, dome
 reflectance by position, PRNU, gain, and at equal incidence the lamp's irradiance and footprint.
 
 Where the standard was taken at another incidence, or in reflection for a sample in transmission,
@@ -45,7 +45,7 @@ class Reference:
         The same in the standard's own background, as a fraction of the standard's signal.
     f_per_rate : ndarray
         f_std E_std/E / (S - B_0): sr^-1 for each e-/s above the background; 0 where the standard
-        tells nothing.
+        has no usable signal.
     f_standard : ndarray
         f_std E_std/E: f of a sample whose signal is that of the standard, sr^-1.
     standard_variance : ndarray
@@ -110,7 +110,7 @@ def _interpolated(
 ) -> FloatArray:
     """Trilinear; the nearest value holds outside the grid."""
     values = np.array(table.factor)
-    # Azimuths on either side of the plane of incidence are alike: 0 to 180 deg hold all.
+    # f is the same on either side of the plane of incidence: 0 to 180 deg hold all.
     aside = np.abs((np.degrees(dphi) + 180) % 360 - 180)
     i, j, w = _bracket(table.theta_i_deg, np.degrees(theta_i))
     page = values[i] * (1 - w) + values[j] * w
@@ -133,7 +133,7 @@ def _bracket(
 
 
 def irradiance_ratio(metadata: Metadata, theta_i: float) -> float:
-    """E_std/E as far as it is known: irradiance of the standard over that of the sample.
+    """E_std/E: irradiance of the standard over that of the sample, as the metadata give it.
 
     Parameters
     ----------
@@ -155,8 +155,8 @@ def irradiance_ratio(metadata: Metadata, theta_i: float) -> float:
 
     Notes
     -----
-    The lamp's T_d by position, its spot and the share of the pupil that sees it are taken to be
-    alike at both incidences; `Plan.u_irradiance` is the price.
+    The dome's T_d by position, the lamp's spot and the share of the pupil that sees it are taken to
+    be the same at both incidences. `Plan.u_irradiance` is the uncertainty of that.
     """
     plan = metadata.plan
     if plan.standard_theta_i_deg is None:
@@ -180,7 +180,7 @@ def irradiance_ratio(metadata: Metadata, theta_i: float) -> float:
 
 
 def describe(metadata: Metadata) -> str:
-    """What eq. (2) was told of the standard, as one line of the history."""
+    """One line of the history: which standard eq. (2) used."""
     plan, certificate = metadata.plan, metadata.standard
     text = f"eq. (2) with a standard of {certificate.reflectance:g}"
     if certificate.table is not None:
@@ -196,7 +196,7 @@ def describe(metadata: Metadata) -> str:
     price = "unknown, not included" if plan.u_irradiance is None else f"{plan.u_irradiance:.2g}"
     return (
         f"{text}, taken{way} at {plan.standard_theta_i_deg:g} deg: irradiance by {factor}, lamp "
-        f"spot and dome taken as alike; relative uncertainty: {price}"
+        f"spot and dome taken as equal; relative uncertainty: {price}"
     )
 
 
@@ -226,7 +226,7 @@ def reference(
     """
     own = background if standard_background is None else standard_background
     signal = standard.value - own.value
-    # Neighbours decide: choosing pixels by their own noise would bias what is left.
+    # Neighbours decide: a choice of pixels by their own noise would bias the rest.
     near_b, near_0, near_s = (_neighbours(r.value) for r in (background, own, standard))
     near = near_s - near_0
     noise = np.sqrt(own.variance(near_0) + standard.variance(near_s))
@@ -292,7 +292,7 @@ def _beside(image: FloatArray, where: NDArray[np.bool_]) -> FloatArray:
 
 
 def brdf(measured: Rate, ref: Reference) -> FloatArray:
-    """f of every pixel by eq. (2), sr^-1; 0 where the standard tells nothing."""
+    """f of every pixel by eq. (2), sr^-1; 0 where the standard has no usable signal."""
     return (measured.value - ref.background.value) * ref.f_per_rate
 
 

@@ -1,4 +1,4 @@
-"""Boards before a camera: the corners of a photograph, and where the board stood."""
+"""Boards before a camera: corners in a photograph, and the pose of the board."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class View:
 
 @dataclass(frozen=True)
 class Pose:
-    """Place of a board: X_camera = exp(turn) X_board + shift; `turn` a rotation vector, mm."""
+    """Position of a board: X_camera = exp(turn) X_board + shift; `turn` a rotation vector, mm."""
 
     turn: FloatArray
     shift: FloatArray
@@ -51,7 +51,7 @@ class Pose:
         return rotation(self.turn)[:, 2]
 
 
-def place(view: View, lens: Fisheye) -> Pose:
+def pose_of_board(view: View, lens: Fisheye) -> Pose:
     """Pose of a board before a known lens, from four corners or more.
 
     The direct linear transformation of rays, for any angle from the axis:

@@ -93,13 +93,13 @@ def stretched(image: Image) -> NDArray[np.uint8]:
 def find_corners(image: NDArray[np.uint8], board: Board, *, thorough: bool = True) -> Corners:
     """Corners that OpenCV's detectors find in a picture; none where it shows no board.
 
-    A plain chessboard is found whole or not at all; which of its ends is the first is a matter of
-    chance, and no mirrored picture of it can be told. A `thorough` search for it takes seconds
-    where there is none.
+    A chessboard without markers is found whole or not at all. Which of its ends comes first is a
+    matter of chance, and a mirrored picture of it is not recognised. A `thorough` search takes
+    seconds if there is no board.
     """
     if board.kind == "charuco":
         return _find_charuco(image, board)
-    return _find_plain(image, board, thorough)
+    return _find_chessboard(image, board, thorough)
 
 
 def _find_charuco(image: NDArray[np.uint8], board: Board) -> Corners:
@@ -111,14 +111,14 @@ def _find_charuco(image: NDArray[np.uint8], board: Board) -> Corners:
     return Corners(np.ravel(numbers).astype(int), np.reshape(corners, (-1, 2)).astype(float))
 
 
-def _find_plain(image: NDArray[np.uint8], board: Board, thorough: bool) -> Corners:
+def _find_chessboard(image: NDArray[np.uint8], board: Board, thorough: bool) -> Corners:
     import cv2
 
     shape = (board.columns - 1, board.rows - 1)
     exhaustive = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     for flags in (0, exhaustive) if thorough else (0,):
-        found, corners = cv2.findChessboardCornersSB(image, shape, flags=flags)
-        if found:
+        success, corners = cv2.findChessboardCornersSB(image, shape, flags=flags)
+        if success:
             pixels = np.reshape(corners, (-1, 2)).astype(float)
             return Corners(np.arange(board.n_corners), pixels)
     return NONE
@@ -145,7 +145,7 @@ def find_in_views(image: NDArray[np.uint8], board: Board, lens: Fisheye) -> Corn
 def _find_in_view(
     image: NDArray[np.uint8], board: Board, lens: Fisheye, rotation: FloatArray
 ) -> list[tuple[int, float, FloatArray]]:
-    """Number, angle from the view's axis and place in the photograph of each corner."""
+    """Number, angle from the view's axis and pixel in the photograph of each corner."""
     import cv2
 
     half = np.tan(np.radians(_VIEW_HALF_DEG[board.kind]))
@@ -153,15 +153,15 @@ def _find_in_view(
     n = int(f * half)
     x, y = np.meshgrid(np.arange(-n, n + 1) / f, np.arange(-n, n + 1) / f)
     rays = np.stack([x, y, np.ones_like(x)], -1) @ rotation.T
-    place = lens.project(rays).astype(np.float32)
-    view = cv2.remap(image, place[..., 0], place[..., 1], cv2.INTER_CUBIC)
-    found = find_corners(np.asarray(view, np.uint8), board, thorough=False)
-    if not len(found):
+    source = lens.project(rays).astype(np.float32)
+    view = cv2.remap(image, source[..., 0], source[..., 1], cv2.INTER_CUBIC)
+    corners = find_corners(np.asarray(view, np.uint8), board, thorough=False)
+    if not len(corners):
         return []
-    seen = np.column_stack([(found.pixels - n) / f, np.ones(len(found))])
-    away = angles(seen)[0]
-    pixels = lens.project(seen @ rotation.T)
-    return list(zip(found.numbers.tolist(), away.tolist(), pixels, strict=True))
+    rays = np.column_stack([(corners.pixels - n) / f, np.ones(len(corners))])
+    away = angles(rays)[0]
+    pixels = lens.project(rays @ rotation.T)
+    return list(zip(corners.numbers.tolist(), away.tolist(), pixels, strict=True))
 
 
 def _looking(theta: float, phi: float) -> FloatArray:

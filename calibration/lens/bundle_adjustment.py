@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gonio.calibration.lens.board_poses import Pose, View, place
+from gonio.calibration.lens.board_poses import Pose, View, pose_of_board
 from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.rotations import left_jacobian, rotation
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, angles
 
-FIGURES = ("f", "k1", "k2", "k3", "k4", "centre_x", "centre_y", "ratio")
+QUANTITIES = ("f", "k1", "k2", "k3", "k4", "centre_x", "centre_y", "ratio")
 LEAST_VIEWS = 3
-LEAST_CORNERS = 8  # in a view; a pose has six figures
+LEAST_CORNERS = 8  # in a view; a pose has six parameters
 REJECT_SD = 5.0  # corners farther off than that, in robust standard deviations, are dropped
 LEAST_SD_PX = 0.005  # no corner is measured better; outliers are judged by this at least
 LEAST_SPREAD_DEG = 10.0  # between the boards' normals
-WORST_THETA_SD_DEG = 1.0  # within the corners; beyond it the photographs do not tell the lens
+WORST_THETA_SD_DEG = 1.0  # within the corners; beyond it the photographs do not determine the lens
 _MOST_ROUNDS = 10
 _STARTS = np.geomspace(0.7, 1.4, 15)  # tried as factors of the focal length
 
@@ -37,9 +37,9 @@ class LensFit:
     ----------
     lens : Fisheye
     free : tuple of str
-        Names of the fitted figures, of `FIGURES`.
+        Names of the fitted parameters, of `QUANTITIES`.
     covariance : ndarray
-        Of the free figures, scaled by the residuals; poses are marginalised.
+        Of the free parameters, scaled by the residuals; poses are marginalised.
     views : list of View
         Corners that were used.
     poses : list of Pose
@@ -79,7 +79,7 @@ class LensFit:
     def theta_sd(self, theta: FloatArray) -> FloatArray:
         """Standard deviation, radians, of the polar angle that a pixel stands for.
 
-        Mean square over the azimuth, from the covariance of all free figures:
+        Mean square over the azimuth, from the covariance of all free parameters:
         dtheta = -(dr + cos(phi) dcx + sin(phi) dcy) / r'.
         """
         phi = np.linspace(-np.pi, np.pi, 16, endpoint=False)
@@ -88,7 +88,7 @@ class LensFit:
         _, by_lens, _ = self.lens.derivatives(x.reshape(-1, 3))
         outward = np.stack([np.cos(p), np.sin(p)], -1).reshape(-1, 2)
         outward[:, 1] /= self.lens.ratio
-        columns = [FIGURES.index(name) for name in self.free]
+        columns = [QUANTITIES.index(name) for name in self.free]
         gradient = np.einsum("ni,nij->nj", outward, by_lens)[:, columns]
         gradient /= self.lens.slope(t.ravel())[:, None]
         variance = np.einsum("ni,ij,nj->n", gradient, self.covariance, gradient)
@@ -120,10 +120,10 @@ def fit_lens(views: Sequence[View], start: Fisheye, *, free_ratio: bool = False)
     Notes
     -----
     Least squares on the distances in pixels with a loss that grows linearly for outliers; then
-    corners beyond 5 robust standard deviations are dropped and the rest is fitted by plain least
+    corners beyond 5 robust standard deviations are dropped and the rest is fitted by ordinary least
     squares, until nothing changes. The covariance is that of the last fit.
     """
-    names = FIGURES if free_ratio else FIGURES[:-1]
+    names = QUANTITIES if free_ratio else QUANTITIES[:-1]
     used, left_out = _enough(views, {})
     _require(len(used) >= LEAST_VIEWS, _few(used, views))
     lens, poses = _first_guess(used, start)
@@ -256,7 +256,7 @@ def _first_guess(views: Sequence[View], start: Fisheye) -> tuple[Fisheye, list[P
     best: tuple[float, Fisheye, list[Pose]] | None = None
     for factor in _STARTS:
         lens = replace(start, f=start.f * float(factor))
-        poses = [place(view, lens) for view in views]
+        poses = [pose_of_board(view, lens) for view in views]
         miss = _robust_sd(_residuals(views, lens, poses))
         if best is None or miss < best[0]:
             best = miss, lens, poses
@@ -292,10 +292,10 @@ def _solve(
     from scipy.optimize import least_squares
 
     def unpack(x: FloatArray) -> tuple[Fisheye, list[Pose]]:
-        figures = lens.vector()
-        figures[: len(names)] = x[: len(names)]
+        values = lens.vector()
+        values[: len(names)] = x[: len(names)]
         rest = x[len(names) :].reshape(-1, 6)
-        return lens.with_vector(figures), [Pose(each[:3], each[3:]) for each in rest]
+        return lens.with_vector(values), [Pose(each[:3], each[3:]) for each in rest]
 
     def residuals(x: FloatArray) -> FloatArray:
         return np.vstack(_residuals(views, *unpack(x))).ravel()
@@ -306,11 +306,11 @@ def _solve(
     x0 = np.concatenate(
         [lens.vector()[: len(names)], *(np.concatenate([p.turn, p.shift]) for p in poses)]
     )
-    found = least_squares(
+    optimum = least_squares(
         residuals, x0, jac=jacobian, x_scale="jac", loss=loss, f_scale=scale, max_nfev=200,
         xtol=1e-12, ftol=1e-12, gtol=1e-12,
     )  # fmt: skip
-    return unpack(found.x)
+    return unpack(optimum.x)
 
 
 def _residuals(views: Sequence[View], lens: Fisheye, poses: Sequence[Pose]) -> list[FloatArray]:
@@ -348,14 +348,14 @@ def _jacobian(
 def _covariance(
     views: Sequence[View], lens: Fisheye, poses: Sequence[Pose], names: tuple[str, ...]
 ) -> FloatArray:
-    """Covariance of the lens's figures, the poses marginalised, scaled by the residuals."""
+    """Covariance of the lens's parameters, the poses marginalised, scaled by the residuals."""
     jacobian = _jacobian(views, lens, poses, names)
     residuals = np.vstack(_residuals(views, lens, poses)).ravel()
     dof = jacobian.shape[0] - jacobian.shape[1]
     _require(
         dof > 0,
-        f"{jacobian.shape[0]} coordinates of corners do not determine {jacobian.shape[1]} figures "
-        "of lens and poses; take more photographs.",
+        f"{jacobian.shape[0]} coordinates of corners do not determine {jacobian.shape[1]} "
+        "parameters of lens and poses; take more photographs.",
     )
     size = np.linalg.norm(jacobian, axis=0)
     inverse = np.linalg.pinv(jacobian / np.where(size > 0, size, 1))

@@ -1,8 +1,8 @@
 """Corners of a board to a few hundredths of a pixel, and corners that no detector has found.
 
-Where the lens and the board's place are known to a fraction of a square, the picture around each
-corner is known but for a shift, its contrast and its blur. The shift is found by least squares on
-the pixels as they are: nothing is resampled, and neither the curvature of the squares' edges, nor
+If the lens and the board's pose are known to a fraction of a square, the picture around each corner
+is known except for a shift, its contrast and its blur. The shift is found by least squares on the
+pixels as they are: nothing is resampled, and neither the curvature of the squares' edges, nor
 foreshortening, nor a marker close by moves the result. Lucas & Kanade, IJCAI 1981, with the board
 as the template.
 """
@@ -85,8 +85,8 @@ def refine(
     on_board = _on_board(lens, pose, column, row)
     offset = np.stack([column, row], -1) - start[:, None, None, :]
     weight = (np.hypot(*np.moveaxis(offset, -1, 0)) <= half[:, None, None]).astype(float)
-    seen = image[row, column].astype(float)
-    shift, correlation = _match(seen, weight, offset, on_board, ink)
+    counts = image[row, column].astype(float)
+    shift, correlation = _match(counts, weight, offset, on_board, ink)
     side = half / WINDOW_SHARE
     good = (correlation >= LEAST_CORRELATION) & (np.hypot(*shift.T) <= LARGEST_SHIFT * side)
     return numbers[good], (start + shift)[good]
@@ -102,7 +102,7 @@ def _half_widths(lens: Fisheye, pose: Pose, points: FloatArray, square: float) -
 def _on_board(
     lens: Fisheye, pose: Pose, column: NDArray[np.int64], row: NDArray[np.int64]
 ) -> FloatArray:
-    """Where on the board pixels look, mm (..., 2); NaN where they miss its plane."""
+    """Points of the board that pixels see, mm (..., 2); NaN where they miss its plane."""
     w = lens.directions(np.stack([column, row], -1)) @ rotation(pose.turn)
     eye = -pose.shift @ rotation(pose.turn)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -111,23 +111,23 @@ def _on_board(
 
 
 def _match(
-    seen: FloatArray, weight: FloatArray, offset: FloatArray, on_board: FloatArray, ink: Ink
+    counts: FloatArray, weight: FloatArray, offset: FloatArray, on_board: FloatArray, ink: Ink
 ) -> tuple[FloatArray, FloatArray]:
     """Shift (n, 2) in pixels and correlation (n,) of each window (n, m, m) with the template."""
-    # Change of the place on the board by a pixel along the columns and along the rows.
+    # Change of the point on the board by a pixel along the columns and along the rows.
     by_column, by_row = np.gradient(on_board, axis=2), np.gradient(on_board, axis=1)
     bad = ~np.isfinite(on_board).all(axis=(1, 2, 3))
     on_board, by_column, by_row = (np.nan_to_num(a) for a in (on_board, by_column, by_row))
-    shift = np.zeros((len(seen), 2))
-    correlation = np.zeros(len(seen))
-    plain = [np.ones_like(seen), offset[..., 0], offset[..., 1]]
-    _, level = _least_squares(seen, weight, plain)
+    shift = np.zeros((len(counts), 2))
+    correlation = np.zeros(len(counts))
+    background = [np.ones_like(counts), offset[..., 0], offset[..., 1]]
+    _, level = _least_squares(counts, weight, background)
     for _ in range(_ROUNDS):
         template = _template(on_board, by_column, by_row, shift, ink)
         slopes = np.gradient(template, axis=2), np.gradient(template, axis=1)
-        fitted, rest = _least_squares(seen, weight, [*plain, template, *slopes])
+        fitted, rest = _least_squares(counts, weight, [*background, template, *slopes])
         contrast = fitted[:, 3]
-        # A plain chessboard that is turned by 180 deg may show paper for ink.
+        # A chessboard without markers that is turned by 180 deg may show paper for ink.
         usable = ~bad & (contrast != 0 if ink.board.kind == "chessboard" else contrast > 0)
         explained = 1 - rest / np.where(level > 0, level, 1)
         correlation = np.where(usable, np.sqrt(np.clip(explained, 0, 1)), 0)
@@ -155,16 +155,16 @@ def _paper(on_board, by_column, by_row, shift, size, content, markers, out):  # 
     for k in range(out.shape[0]):
         for row in range(out.shape[1]):
             for column in range(out.shape[2]):
-                place = on_board[k, row, column]
+                point = on_board[k, row, column]
                 right, down = by_column[k, row, column], by_row[k, row, column]
-                share = _share(_GRID, place, right, down, shift[k], size, content, markers)
+                share = _share(_GRID, point, right, down, shift[k], size, content, markers)
                 if 0.0 < share < 1.0:
-                    share = _share(_FINE_GRID, place, right, down, shift[k], size, content, markers)
+                    share = _share(_FINE_GRID, point, right, down, shift[k], size, content, markers)
                 out[k, row, column] = share
 
 
 @njit(cache=True, nogil=True)
-def _share(n, place, right, down, shift, size, content, markers):  # type: ignore[no-untyped-def]
+def _share(n, point, right, down, shift, size, content, markers):  # type: ignore[no-untyped-def]
     """Share of paper among n x n points of a pixel."""
     count = 0
     for i in range(n):
@@ -172,8 +172,8 @@ def _share(n, place, right, down, shift, size, content, markers):  # type: ignor
         for j in range(n):
             dv = (j + 0.5) / n - 0.5 - shift[1]
             count += _is_paper(
-                place[0] + du * right[0] + dv * down[0],
-                place[1] + du * right[1] + dv * down[1],
+                point[0] + du * right[0] + dv * down[0],
+                point[1] + du * right[1] + dv * down[1],
                 size,
                 content,
                 markers,
@@ -199,14 +199,14 @@ def _is_paper(x, y, size, content, markers):  # type: ignore[no-untyped-def]
 
 
 def _least_squares(
-    seen: FloatArray, weight: FloatArray, columns: list[FloatArray]
+    counts: FloatArray, weight: FloatArray, columns: list[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Coefficients (n, columns) and weighted sum of squares (n,) for each window."""
     a = np.stack(columns, -1)
     normal = np.einsum("nijk,nij,nijl->nkl", a, weight, a)
-    right = np.einsum("nijk,nij,nij->nk", a, weight, seen)
+    right = np.einsum("nijk,nij,nij->nk", a, weight, counts)
     size = np.sqrt(np.einsum("nkk->nk", normal)) + 1e-12
     scaled = normal / size[:, :, None] / size[:, None, :] + 1e-12 * np.eye(a.shape[-1])
-    found = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
-    left = seen - np.einsum("nijk,nk->nij", a, found)
-    return found, np.einsum("nij,nij,nij->n", left, weight, left)
+    coefficients = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
+    left = counts - np.einsum("nijk,nk->nij", a, coefficients)
+    return coefficients, np.einsum("nij,nij,nij->n", left, weight, left)

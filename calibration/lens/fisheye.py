@@ -85,10 +85,10 @@ class Fisheye:
         r = np.asarray(radius, float)
         theta = np.linspace(0, self.grows_to(), _TABLE)
         table = self.radius(theta)
-        found = np.interp(r, table, theta, right=np.nan)
+        angle = np.interp(r, table, theta, right=np.nan)
         for _ in range(2):
-            found = found - (self.radius(found) - r) / self.slope(found)
-        return np.asarray(found)
+            angle = angle - (self.radius(angle) - r) / self.slope(angle)
+        return np.asarray(angle)
 
     def project(self, points: ArrayLike) -> FloatArray:
         """Column and row (..., 2) of points (..., 3) in the frame of the camera."""
@@ -143,10 +143,10 @@ class Fisheye:
         return pixels, by_lens, by_point * aspect[:, None]
 
     def vector(self) -> FloatArray:
-        """The eight figures in the order of `derivatives`."""
+        """The eight parameters in the order of `derivatives`."""
         return np.array([self.f, *self.k, *self.centre, self.ratio])
 
-    def with_vector(self, figures: FloatArray) -> Fisheye:
-        """The lens with other figures."""
-        f, k1, k2, k3, k4, cx, cy, ratio = (float(each) for each in figures)
+    def with_vector(self, values: FloatArray) -> Fisheye:
+        """The lens with other parameters."""
+        f, k1, k2, k3, k4, cx, cy, ratio = (float(each) for each in values)
         return replace(self, f=f, k=(k1, k2, k3, k4), centre=(cx, cy), ratio=ratio)

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from gonio.board import Board
 from gonio.calibration.lens import boards
-from gonio.calibration.lens.board_poses import View, place
+from gonio.calibration.lens.board_poses import View, pose_of_board
 from gonio.calibration.lens.boards import Corners
-from gonio.calibration.lens.bundle_adjustment import FIGURES, LensFit, fit_lens
+from gonio.calibration.lens.bundle_adjustment import QUANTITIES, LensFit, fit_lens
 from gonio.calibration.lens.corner_template import Ink, refine
 from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.image_circle import ImageCircle, fit_image_circle
@@ -31,18 +31,18 @@ from gonio.metadata import LensCalibration, Uncertain
 REACH_DEG = 85.0  # corners must go that far, or the rim is extrapolated
 FEW_VIEWS = 10
 _SEARCHED_BELOW = 0.5  # of the corners found; then the perspective views are searched
-_LEAST_TO_PLACE = 4
+_LEAST_FOR_POSE = 4
 _PASSES = 2
 _CIRCLE_OFF = 0.03
 _LARGE_RMS_PX = 1.0
-_GROWING = 0.97  # of the angle at which the image stops growing; near it no angle can be told
+_GROWING = 0.97  # of the angle at which the image stops growing; near it angles are not determined
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class LensFromPhotos:
-    """What photographs tell of a lens.
+    """A lens as calibrated from photographs.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class LensFromPhotos:
             )
         units = {"f": self.pitch_mm[0], "centre_x": 1 / n, "centre_y": 1 / n}
         column, row = ((c + 0.5) / n - 0.5 for c in fit.lens.centre)
-        names = [name for name in FIGURES if name != "ratio"]
+        names = [name for name in QUANTITIES if name != "ratio"]
         unit = np.array([units.get(name, 1.0) for name in names])
         covariance = fit.covariance[: len(names), : len(names)] * np.outer(unit, unit)
         covariance = (covariance + covariance.T) / 2
@@ -120,27 +120,27 @@ class LensFromPhotos:
         return float(np.degrees(self.fit.lens.grows_to()))
 
     def warnings(self) -> list[str]:
-        """What a user should know before trusting the record, in sentences."""
-        found, fit = [], self.fit
+        """Sentences that a user must know before trusting the record."""
+        sentences, fit = [], self.fit
         if self.reach_deg < REACH_DEG:
-            found.append(
+            sentences.append(
                 f"the corners reach theta = {self.reach_deg:.1f} deg: beyond it the lens is "
                 f"extrapolated. Photograph the board at the rim, to {REACH_DEG:g} deg and more."
             )
         if len(fit.views) < FEW_VIEWS:
-            found.append(f"only {len(fit.views)} photographs were used; 15 to 30 are better.")
+            sentences.append(f"only {len(fit.views)} photographs were used; 15 to 30 are better.")
         if fit.rms_px > _LARGE_RMS_PX:
-            found.append(
+            sentences.append(
                 f"the corners miss by {fit.rms_px:.2f} px rms: the board is not flat or not as "
                 "described, or the lens is no Kannala-Brandt lens."
             )
         if self._usable_field_deg() < min(self.field_deg, 180.0):
-            found.append(
+            sentences.append(
                 f"the fitted image stops growing at theta = {self._grows_to_deg():.1f} deg: the "
                 f"field of the record ends at {self._usable_field_deg() / 2:.1f} deg from the axis."
             )
-        found += self._circle_warning()
-        return found
+        sentences += self._circle_warning()
+        return sentences
 
     def _circle_warning(self) -> list[str]:
         if self.circle is None:
@@ -198,10 +198,10 @@ def calibrate_lens(
 
     >>> board = Board("charuco", 12, 9, 20.0)
     >>> paths = sorted(Path("photos").glob("*.png"))
-    >>> found = calibrate_lens(paths, board, pitch_mm=(0.00345, 0.00345))  # doctest: +SKIP
-    >>> found.fit.lens.f, found.reach_deg  # doctest: +SKIP
+    >>> lens = calibrate_lens(paths, board, pitch_mm=(0.00345, 0.00345))  # doctest: +SKIP
+    >>> lens.fit.lens.f, lens.reach_deg  # doctest: +SKIP
 
-    What cannot be is refused at once:
+    Wrong arguments are refused at once:
 
     >>> calibrate_lens(["a.png", "a.png"], board, pitch_mm=(0.00345, 0.00345))
     Traceback (most recent call last):
@@ -213,13 +213,13 @@ def calibrate_lens(
         raise ConfigurationError(f"{min(twice)}: is given twice; give each photograph once.")
     report = _Counter((1 + _PASSES) * len(names), progress)
     ratio = pitch_mm[0] / pitch_mm[1]
-    found, brightest = _detect(names, board, report)
+    corners, brightest = _detect(names, board, report)
     circle = fit_image_circle(brightest, ratio)
     start = _start(brightest.shape, circle, ratio, field_deg)
-    _search_views(names, board, start, found)
-    if not any(map(len, found.values())):
+    _search_views(names, board, start, corners)
+    if not any(map(len, corners.values())):
         raise _no_board(names, board)
-    views = [_view(name, board, found[name]) for name in names]
+    views = [_view(name, board, corners[name]) for name in names]
     fit = fit_lens(views, start, free_ratio=free_ratio)
     fit = _refined(views, board, fit, free_ratio, report)
     return LensFromPhotos(
@@ -249,7 +249,7 @@ def _detect(
     names: Sequence[str], board: Board, report: _Counter
 ) -> tuple[dict[str, Corners], NDArray[np.generic]]:
     """Corners of each photograph and the brightest value of each pixel in all of them."""
-    found: dict[str, Corners] = {}
+    corners: dict[str, Corners] = {}
     brightest: NDArray[np.generic] | None = None
     for name in names:
         image = boards.read_photo(name)
@@ -262,11 +262,11 @@ def _detect(
                 value=name,
             )
         brightest = np.maximum(brightest, image)
-        found[name] = boards.find_corners(boards.stretched(image), board)
+        corners[name] = boards.find_corners(boards.stretched(image), board)
         report()
     if brightest is None:
         raise ConfigurationError("no photograph is given; give three or more.")
-    return found, brightest
+    return corners, brightest
 
 
 def _size(shape: tuple[int, ...]) -> str:
@@ -284,15 +284,15 @@ def _start(
 
 
 def _search_views(
-    names: Sequence[str], board: Board, start: Fisheye, found: dict[str, Corners]
+    names: Sequence[str], board: Board, start: Fisheye, corners: dict[str, Corners]
 ) -> None:
     """Look again, in perspective views, at photographs in which little was found."""
     for name in names:
-        if len(found[name]) < _SEARCHED_BELOW * board.n_corners:
+        if len(corners[name]) < _SEARCHED_BELOW * board.n_corners:
             image = boards.stretched(boards.read_photo(name))
             more = boards.find_in_views(image, board, start)
-            if len(more) > len(found[name]):
-                found[name] = more
+            if len(more) > len(corners[name]):
+                corners[name] = more
 
 
 def _view(name: str, board: Board, corners: Corners) -> View:
@@ -313,8 +313,8 @@ def _refined(
         better = []
         for view in views:
             pose = pose_of.get(view.name)
-            if pose is None and len(view.pixels) >= _LEAST_TO_PLACE:
-                pose = place(view, fit.lens)
+            if pose is None and len(view.pixels) >= _LEAST_FOR_POSE:
+                pose = pose_of_board(view, fit.lens)
             corners = boards.NONE
             if pose is not None:
                 corners = Corners(*refine(boards.read_photo(view.name), ink, fit.lens, pose))

@@ -94,5 +94,7 @@ def _circle(points: FloatArray) -> tuple[FloatArray, float]:
     middle = points.mean(axis=0)
     q = points - middle
     a = np.column_stack([2 * q, np.ones(len(q))])
-    found = np.linalg.lstsq(a, (q**2).sum(axis=1), rcond=None)[0]
-    return middle + found[:2], float(np.sqrt(found[2] + found[0] ** 2 + found[1] ** 2))
+    coefficients = np.linalg.lstsq(a, (q**2).sum(axis=1), rcond=None)[0]
+    return middle + coefficients[:2], float(
+        np.sqrt(coefficients[2] + coefficients[0] ** 2 + coefficients[1] ** 2)
+    )

@@ -1,7 +1,7 @@
 """The file of a calibrated lens: TOML or JSON, with a table `lens` that a session's metadata takes.
 
-`schema`, `lens` and `frame` are for programs; `fit` says how the calibration went and may hold
-anything.
+`schema`, `lens` and `frame` are for programs; `fit` describes the calibration for people and is
+free in form.
 """
 
 from __future__ import annotations
@@ -36,45 +36,45 @@ class CalibratedLens:
 
 
 def document(
-    found: LensFromPhotos, checks: list[CrossCheck], *, frame_binning: int = 1
+    calibration: LensFromPhotos, checks: list[CrossCheck], *, frame_binning: int = 1
 ) -> dict[str, Any]:
-    """Everything that is known of a calibration, as plain types; unknown is None."""
-    fit, n = found.fit, frame_binning
+    """A calibration as JSON types; unknown is None."""
+    fit, n = calibration.fit, frame_binning
     sd = np.degrees(fit.theta_sd(np.radians(THETA_DEG)))
     return {
         "schema": SCHEMA,
-        "lens": found.record(n).model_dump(mode="json"),
-        "frame": {"rows": found.shape[0] // n, "columns": found.shape[1] // n},
+        "lens": calibration.record(n).model_dump(mode="json"),
+        "frame": {"rows": calibration.shape[0] // n, "columns": calibration.shape[1] // n},
         "fit": {
-            "board": str(found.board),
-            "pitch_um": [p * 1e3 for p in found.pitch_mm],
+            "board": str(calibration.board),
+            "pitch_um": [p * 1e3 for p in calibration.pitch_mm],
             "frame_binning": n,
-            "n_photos": found.n_photos,
+            "n_photos": calibration.n_photos,
             "n_used": len(fit.views),
             "n_corners": fit.n_corners,
             "n_outliers": sum(fit.outliers.values()),
             "rms_px": fit.rms_px,
-            "theta_reached_deg": found.reach_deg,
+            "theta_reached_deg": calibration.reach_deg,
             "theta_deg": list(THETA_DEG),
             "theta_sd_deg": [float(v) for v in sd],
-            "photos": _photos(found),
+            "photos": _photos(calibration),
             "cross_check": [_check(check) for check in checks],
-            "warnings": found.warnings(),
+            "warnings": calibration.warnings(),
         },
     }
 
 
-def _photos(found: LensFromPhotos) -> list[dict[str, Any]]:
+def _photos(calibration: LensFromPhotos) -> list[dict[str, Any]]:
     used: list[dict[str, Any]] = [
         {
             "name": view.name,
             "corners": len(view.pixels),
-            "outliers": found.fit.outliers.get(view.name, 0),
+            "outliers": calibration.fit.outliers.get(view.name, 0),
             "rms_px": float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))),
         }
-        for view, residual in zip(found.fit.views, found.fit.residuals, strict=True)
+        for view, residual in zip(calibration.fit.views, calibration.fit.residuals, strict=True)
     ]
-    return used + [{"name": name, "dropped": why} for name, why in found.dropped.items()]
+    return used + [{"name": name, "dropped": why} for name, why in calibration.dropped.items()]
 
 
 def _check(check: CrossCheck) -> dict[str, Any]:
@@ -155,8 +155,8 @@ def read(path: str | Path) -> CalibratedLens:
 
 def _toml(table: dict[str, Any], path: tuple[str, ...] = ()) -> list[str]:
     """Lines of a TOML table; below it tables and lists of tables."""
-    plain = {k: v for k, v in table.items() if v is not None and not _is_table(v)}
-    lines = [f"{key} = {_toml_value(value)}" for key, value in plain.items()]
+    scalars = {k: v for k, v in table.items() if v is not None and not _is_table(v)}
+    lines = [f"{key} = {_toml_value(value)}" for key, value in scalars.items()]
     for key, value in table.items():
         if not _is_table(value):
             continue

@@ -1,4 +1,4 @@
-"""The pixels that a reduction uses: where they look, in the order in which cells are made."""
+"""The pixels that a reduction uses and their directions, in the order in which cells are made."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PixelTable:
     index : ndarray of int64, shape (n,)
         Flat index in the frame.
     keys : ndarray of int64, shape (n,)
-        Morton keys of the places in an equal-area map.
+        Morton keys of the positions in an equal-area map.
     at : ndarray, shape (n, 2)
         Column and row.
     w_r : ndarray, shape (n, 3)

@@ -41,16 +41,16 @@ def reduce(
         on the dome's shape. Both start from the calibrated pupil, image centre and camera azimuth
         where the session has them.
     geometry : path, optional
-        File of a geometry by `gonio calibrate alignment`, in place of what the session states.
+        File of a geometry by `gonio calibrate alignment`; it replaces what the session states.
     retro : bool
         Keep the pixels that look through the patch of the dome where the lamp's beam enters, as
         samples of their own with the flag `FLAG_ENTRY`. Their light returns to the lamp; the
         lamp's stray light costs them shot noise and, where the lamp drifts, an error of the
         image. The other samples do not depend on it.
     force : bool
-        Go on where the frames are found to be wrong; what is wrong then stands in the history.
+        Continue if the frames have errors; the history then lists them.
     threads : int, optional
-        Images are reduced in so many threads; the result does not depend on it.
+        Number of worker threads; the result does not depend on it.
     progress : callable, optional
         Called with (images done, images in all).
 
@@ -62,7 +62,7 @@ def reduce(
     Raises
     ------
     ConfigurationError
-        For an unknown mapping, a lens or pupil that cannot be, a geometry of another instrument,
+        For an unknown mapping, an impossible lens or pupil, a geometry of another instrument,
         or a session of a mirror.
     DataError
         If frames are missing, damaged or wrong (`faults`), or no pixel is usable.
@@ -78,12 +78,12 @@ def reduce(
     Examples
     --------
     >>> import gonio, tempfile
-    >>> rig = gonio.instrument.preset("ideal12").with_pixels(52)
+    >>> instrument = gonio.instrument.preset("ideal12").with_pixels(52)
     >>> plan = gonio.metadata.Plan(
     ...     theta_i_deg=(20,), rotations_deg=(0,), exposures_s=rig.sensor.exposures_s
     ... )
     >>> session = gonio.simulate("white_ceramic_tile", output=tempfile.mkdtemp() + "/tile.gonio",
-    ...                          instrument=rig, plan=plan)
+    ...                          instrument=instrument, plan=plan)
     >>> samples = reduce(session)
     >>> samples.u_independent is not None
     True
@@ -117,7 +117,7 @@ def reduce(
 def _located(
     metadata: Metadata, mapping: Mapping, geometry: str | Path | None
 ) -> tuple[Metadata, PixelMap, tuple[str, ...]]:
-    """Metadata and mapping with a calibrated geometry in place, and what that left open."""
+    """Metadata and mapping with the calibrated geometry, and the quantities left open."""
     if metadata.plan.mode == "mirror":
         raise ConfigurationError(
             "a session of a mirror has no BRDF; it is for 'gonio calibrate alignment'.",

@@ -1,4 +1,4 @@
-"""The images' cells to one list of samples, with the errors they share and their history."""
+"""Joins the images' cells to one list of samples, with their shared errors and their history."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells])
     channels = metadata.plan.channels
     names = np.repeat([channels[part.channel].name for part in parts], counts)
     wavelengths = [channels[part.channel].wavelength_nm for part in parts]
-    known = [w for w in wavelengths if w is not None]
+    stated = [w for w in wavelengths if w is not None]
     theta_r, phi_r = angles(np.concatenate([part.centroid for part in parts]))
     value, own, shared, slope = np.concatenate([part.means for part in parts], axis=1)
     ends = np.cumsum([0] + [len(part.members.weight) for part in parts])
@@ -75,7 +75,7 @@ def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells])
         image=image,
         channel=names if len(channels) > 1 or names[0] else None,
         wavelength_nm=(
-            np.repeat(known, counts) if wavelengths and len(known) == len(wavelengths) else None
+            np.repeat(stated, counts) if wavelengths and len(stated) == len(wavelengths) else None
         ),
         cells=Cells(
             np.concatenate([part.members.w_r for part in parts]),

@@ -30,7 +30,7 @@ def effects_table() -> str:
         [
             escape(effect.title),
             text(effect.text),
-            _codes(figure.key for figure in effect.figures) or "—",
+            _codes(stated.key for stated in effect.quantities) or "—",
             _codes(each.key for each in effect.unknown if each.key) or "—",
         ]
         for effect in all_effects()

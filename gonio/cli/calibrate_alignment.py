@@ -116,7 +116,7 @@ def _print(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bo
                 "chi2": alignment.chi2,
                 "dof": alignment.dof,
                 "scale": alignment.scale,
-                "lens_uncertainty_known": alignment.seen.lens.uncertain is not None,
+                "lens_uncertainty_known": alignment.pixel_map.lens.uncertain is not None,
             }
         )
         return
@@ -130,11 +130,11 @@ def _print(alignment: Alignment, lost: dict[str, str], output: Path, as_json: bo
         f"{alignment.chi2:.3g} with {alignment.dof} degrees of freedom"
         + (f", uncertainties widened {alignment.scale:.2g} times." if alignment.scale > 1 else ".")
     )
-    if alignment.seen.lens.uncertain is None:
+    if alignment.pixel_map.lens.uncertain is None:
         click.echo("The lens is taken as exact: the uncertainty of its calibration is unknown.")
     for name, why in not_used.items():
         click.echo(f"not used: {name}: {why}.")
-    click.echo(f"{output}: geometry of {alignment.seen.geometry.shape} and camera.")
+    click.echo(f"{output}: geometry of {alignment.pixel_map.geometry.shape} and camera.")
 
 
 def _undetermined(name: str, alignment: Alignment) -> str:

@@ -1,4 +1,4 @@
-"""Files of BRDF samples: one file of this folder is one format, found by looking into it.
+"""Files of BRDF samples: one file of this folder is one format.
 
 A format is a module with `NAME`, `TITLE`, `mismatch(path, head)`, which says why a file that begins
 with these bytes is in another format (None where it is in this one), and `read(path)`.
@@ -31,13 +31,13 @@ _SAME_NM = 1e-6
 
 @cache
 def _all() -> dict[str, ModuleType]:
-    found: dict[str, ModuleType] = {}
+    formats: dict[str, ModuleType] = {}
     for info in pkgutil.iter_modules(__path__):
         if not info.name.startswith("_"):
             module = importlib.import_module(f"{__name__}.{info.name}")
-            found[module.NAME] = module
+            formats[module.NAME] = module
     # A file that only its suffix gives away is taken for gonio's own table last.
-    return dict(sorted(found.items(), key=lambda item: (item[0] == "gonio_csv", item[0])))
+    return dict(sorted(formats.items(), key=lambda item: (item[0] == "gonio_csv", item[0])))
 
 
 def names() -> list[str]:
@@ -52,7 +52,7 @@ def names() -> list[str]:
 
 
 def read(path: str | Path, *, select: Mapping[str, str] | None = None) -> BRDFSamples:
-    """Read BRDF samples from a file of any known format, told by its content.
+    """Read BRDF samples from a file of any known format, which its content decides.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def read(path: str | Path, *, select: Mapping[str, str] | None = None) -> BRDFSa
     ([0.3], 'cornell')
     """
     path = Path(path)
-    # A wrong key is told before a long file is read.
+    # A wrong key is refused before a long file is read.
     for key in select or ():
         if key not in SELECTIONS:
             raise unknown_name("selection", key, SELECTIONS)
@@ -211,15 +211,16 @@ def _range(text: str, wanted: str) -> tuple[float, float]:
 def _no_wavelength(
     listed: NDArray[np.float64], low: float, high: float, where: str
 ) -> ConfigurationError:
-    known = f"Listed: {_shortened([f'{value:.9g}' for value in listed])}."
+    listed_text = f"Listed: {_shortened([f'{value:.9g}' for value in listed])}."
     if low != high:
         end = "up" if np.isinf(high) else f"to {high:.9g}"
         return ConfigurationError(
-            f"{where}: no sample from {low:.9g} nm {end}. {known}", value=(low, high)
+            f"{where}: no sample from {low:.9g} nm {end}. {listed_text}", value=(low, high)
         )
     nearest = listed[np.argmin(np.abs(listed - low))]
     return ConfigurationError(
-        f"{where}: no sample at {low:.9g} nm; the nearest is {nearest:.9g} nm. {known}", value=low
+        f"{where}: no sample at {low:.9g} nm; the nearest is {nearest:.9g} nm. {listed_text}",
+        value=low,
     )
 
 
@@ -229,12 +230,12 @@ def _in_channel(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
             f"{where}: no channels are named, so none can be selected; leave the selection out.",
             value=wanted,
         )
-    known = np.unique(samples.channel).tolist()
+    channels = np.unique(samples.channel).tolist()
     # A comma may stand in a name: the whole text is a name first.
-    names = [wanted] if wanted in known else [name.strip() for name in wanted.split(",")]
+    names = [wanted] if wanted in channels else [name.strip() for name in wanted.split(",")]
     for name in names:
-        if name not in known:
-            raise unknown_name(f"channel in {where}", name, known)
+        if name not in channels:
+            raise unknown_name(f"channel in {where}", name, channels)
     return samples.select(np.isin(samples.channel, names), f"channel {wanted}")
 
 

@@ -1,6 +1,6 @@
-"""Reflectance models: one file is one model, found by looking into this folder.
+"""Reflectance models: one file of this folder is one model.
 
-A file that defines `MODEL = Model(...)` is a model; nothing else has to be told of it. Names joined
+A file that defines `MODEL = Model(...)` is a model; no other file lists it. Names joined
 by "+" are a model too, the sum of theirs. Models from outside the package come as objects, from a
 file that the user names (`load`), or from an installed package that announces them
 (`gonio.models.external`).
@@ -43,19 +43,19 @@ _sums: dict[tuple[tuple[str, Any], ...], Model] = {}
 
 @cache
 def _all() -> dict[str, Model]:
-    found = {}
+    models = {}
     for info in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{info.name}")
         model = getattr(module, "MODEL", None)
         if isinstance(model, Model):
-            found[model.name] = model
-    return dict(sorted(found.items()))
+            models[model.name] = model
+    return dict(sorted(models.items()))
 
 
 @cache
 def _installed() -> dict[str, Model]:
     """Models that installed packages announce, under names that gonio does not use itself."""
-    found = {}
+    models = {}
     for name, entry in external.announced().items():
         if name in _all():
             external.log.warning(
@@ -63,8 +63,8 @@ def _installed() -> dict[str, Model]:
                 "out.", external.package(entry), name,
             )  # fmt: skip
         elif (model := external.installed(name)) is not None:
-            found[name] = model
-    return found
+            models[name] = model
+    return models
 
 
 def names() -> list[str]:

@@ -58,14 +58,14 @@ def term_names(name: str) -> list[str]:
     >>> term_names("lambert + ward")
     ['lambert', 'ward']
     """
-    found = [term.strip() for term in name.split(SIGN)]
-    if not all(found):
+    terms = [term.strip() for term in name.split(SIGN)]
+    if not all(terms):
         raise ConfigurationError(
             f"the sum {name!r} has an empty term; write the names of two or more models with one "
             f"'{SIGN}' between them, such as 'lambert+ward'.",
             value=name,
         )
-    return found
+    return terms
 
 
 def added(terms: Sequence[Model]) -> Model:
@@ -187,7 +187,7 @@ def _validity(terms: Sequence[Model]) -> str:
         "the sum."
     )
     if len({term.name for term in terms}) < len(terms):
-        sentences.append("Terms of the same model may change places.")
+        sentences.append("Terms of the same model may be exchanged.")
     return " ".join(dict.fromkeys(sentences))
 
 

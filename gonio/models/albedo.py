@@ -203,11 +203,11 @@ def _cell_integrals(
 ) -> tuple[FloatArray, FloatArray]:
     """Integral over each cell by the finer rule, and how far the coarser one is from it."""
     t0, t1, p0, p1 = cells.T[:, :, None]
-    found = []
+    integrals = []
     for x, y, weight in _RULES:
         theta = (t0 + t1) / 2 + (t1 - t0) / 2 * x
         phi = (p0 + p1) / 2 + (p1 - p0) / 2 * y
         f = model.evaluate(w_i, unit_vectors(theta, phi), p)
         area = (t1 - t0) * (p1 - p0)
-        found.append(np.sum(weight * area * f * np.cos(theta) * np.sin(theta), axis=1))
-    return found[0], np.abs(found[0] - found[1])
+        integrals.append(np.sum(weight * area * f * np.cos(theta) * np.sin(theta), axis=1))
+    return integrals[0], np.abs(integrals[0] - integrals[1])

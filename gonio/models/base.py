@@ -340,8 +340,8 @@ class Model:
         """
         i, r = sampling.pairs(w_i, w_r)
         _, named = self._named(p)
-        found = sampling.mixed_density(self.lobes, named, i.reshape(-1, 3), r.reshape(-1, 3))
-        return found.reshape(i.shape[:-1])
+        density = sampling.mixed_density(self.lobes, named, i.reshape(-1, 3), r.reshape(-1, 3))
+        return density.reshape(i.shape[:-1])
 
     def _named(self, p: ArrayLike) -> tuple[FloatArray, dict[str, float]]:
         """A parameter vector, and its values by name."""

@@ -129,10 +129,10 @@ def installed(name: str) -> Model | None:
     if entry is None:
         return None
     try:
-        found = _model(entry.load(), f"{entry.value}, announced as the model {name!r},")
-        if found.name != name:
+        model = _model(entry.load(), f"{entry.value}, announced as the model {name!r},")
+        if model.name != name:
             raise ConfigurationError(
-                f"{entry.value} is announced as the model {name!r} and named {found.name!r}."
+                f"{entry.value} is announced as the model {name!r} and named {model.name!r}."
             )
     except Exception as error:
         log.warning(
@@ -140,7 +140,7 @@ def installed(name: str) -> Model | None:
             name, package(entry), type(error).__name__, error,
         )  # fmt: skip
         return None
-    return found
+    return model
 
 
 def package(entry: EntryPoint) -> str:

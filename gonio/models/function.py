@@ -82,7 +82,7 @@ def _agree(
     """Whether complex steps give the derivatives that differences give."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # an imaginary part that is thrown away is told by one
+            warnings.simplefilter("error")  # numpy warns if an imaginary part is discarded
             f, jac = exact.gradient(w_i, w_r, p)
     except Exception:  # whatever a function that takes no complex numbers raises
         return False
@@ -136,25 +136,25 @@ class _Function:
     def _called(self, where: Directions, p: Any) -> Any:
         """What the function returns, one number for each pair."""
         named = {q.name: value for q, value in zip(self.parameters, p.tolist(), strict=True)}
-        found = np.asarray(self.function(where, **named))
-        if found.shape == ():
-            found = np.broadcast_to(found, where.shape)
-        if found.shape != where.shape:
+        values = np.asarray(self.function(where, **named))
+        if values.shape == ():
+            values = np.broadcast_to(values, where.shape)
+        if values.shape != where.shape:
             raise ConfigurationError(
-                f"{self.name}: the function returns an array of shape {found.shape} for "
+                f"{self.name}: the function returns an array of shape {values.shape} for "
                 f"{where.shape[0]} pairs of directions; it must return one value for each pair.",
-                value=found.shape,
+                value=values.shape,
             )
-        return found
+        return values
 
-    def _real(self, found: Any) -> FloatArray:
-        if found.dtype.kind not in "fiu":
+    def _real(self, values: Any) -> FloatArray:
+        if values.dtype.kind not in "fiu":
             raise ConfigurationError(
-                f"{self.name}: the function returns {found.dtype} for real parameters; it must "
+                f"{self.name}: the function returns {values.dtype} for real parameters; it must "
                 "return real numbers, f in sr^-1.",
-                value=str(found.dtype),
+                value=str(values.dtype),
             )
-        return np.asarray(found, float)
+        return np.asarray(values, float)
 
 
 def _directions(w_i: FloatArray, w_r: FloatArray) -> Directions:
@@ -192,11 +192,11 @@ def declared(function: Callable[..., Any], given: Given) -> tuple[Parameter, ...
 def _signature(function: Callable[..., Any]) -> dict[str, Any]:
     """Names that a function takes after the directions, with their defaults."""
     try:
-        found = list(inspect.signature(function).parameters.values())[1:]
+        arguments = list(inspect.signature(function).parameters.values())[1:]
     except (TypeError, ValueError):
         return {}
     kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    return {q.name: q.default for q in found if q.kind in kinds}
+    return {q.name: q.default for q in arguments if q.kind in kinds}
 
 
 def _ranged(name: str, value: Any) -> Parameter:

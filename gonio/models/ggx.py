@@ -101,7 +101,7 @@ MODEL = Model(
     kernel=kernel,
     claims=Claims(lambert_limit={"k_s": 0.0}, albedo_at_most=("rho_d", "k_s")),
     validity="Single reflection; the albedo is at most rho_d + k_s, which may be above 1. "
-    "k_s, eta and kappa are hard to tell apart: hold those that are known.",
+    "k_s, eta and kappa are hard to separate: hold those that are known.",
     lobes=(
         Cosine(share="rho_d"),
         VisibleFacets(share=mirrored, alpha_x="alpha_x", alpha_y="alpha_y"),

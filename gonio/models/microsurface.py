@@ -116,7 +116,7 @@ def trace(
     photons : int
         Number of photons.
     azimuth : float, optional
-        Azimuth of all cavities, radians; all directions alike if not given.
+        Azimuth of all cavities, radians; uniformly distributed if not given.
     mirror : bool
         Whether facets are mirrors; they scatter by Lambert's law if not.
     bounces : int

@@ -84,7 +84,7 @@ class Lobe(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Cosine(Lobe):
-    """pdf(r) = (k + 1)/(2 pi) cos^k theta_r, all azimuths alike.
+    """pdf(r) = (k + 1)/(2 pi) cos^k theta_r, uniform in azimuth.
 
     Parameters
     ----------

@@ -45,11 +45,11 @@ def source_of(model: Model) -> dict[str, str | None] | None:
     >>> from gonio import models
     >>> source_of(models.get("ward"))
     """
-    found = [_of_function(f) for f in map(plain, model.functions) if not _own(f)]
-    if len(found) < 2:
-        return dict(found[0]) if found else None
-    files = "; ".join(str(each["file"]) for each in found)
-    return {"file": files, "sha256": _sha256("".join(str(each["sha256"]) for each in found))}
+    records = [_of_function(f) for f in map(plain, model.functions) if not _own(f)]
+    if len(records) < 2:
+        return dict(records[0]) if records else None
+    files = "; ".join(str(each["file"]) for each in records)
+    return {"file": files, "sha256": _sha256("".join(str(each["sha256"]) for each in records))}
 
 
 def check_source(model: Model, fit: Fitted) -> Model:
@@ -64,8 +64,8 @@ def check_source(model: Model, fit: Fitted) -> Model:
     if (recorded or {}).get("sha256") == (own or {}).get("sha256"):
         return model
     raise ConfigurationError(
-        f"the fit was made with the model {fit.model!r} {_told(recorded)}, and this one is "
-        f"{_told(own)}: it is another model; give the file that the fit was made with, or fit "
+        f"the fit was made with the model {fit.model!r} {_described(recorded)}, and this one is "
+        f"{_described(own)}: it is another model; give the file that the fit was made with, or fit "
         "again.",
         value=fit.model,
     )
@@ -74,9 +74,9 @@ def check_source(model: Model, fit: Fitted) -> Model:
 def unknown_source(fit: Fitted) -> ConfigurationError:
     """The error for a fit of a model from outside that nobody gave."""
     return ConfigurationError(
-        f"the fit was made with the model {fit.model!r} {_told(fit.model_source)}, which is not "
-        "part of gonio, and no code is run because a file names it; give it with --model FILE.py, "
-        "or in Python by gonio.models.load(FILE).",
+        f"the fit was made with the model {fit.model!r} {_described(fit.model_source)}, which is "
+        "not part of gonio, and no code is run because a file names it; give it with --model "
+        "FILE.py, or in Python by gonio.models.load(FILE).",
         value=fit.model,
     )
 
@@ -98,7 +98,7 @@ def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _told(source: Mapping[str, Any] | None) -> str:
+def _described(source: Mapping[str, Any] | None) -> str:
     """A source in words."""
     if source is None:
         return "of gonio"

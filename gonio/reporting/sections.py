@@ -320,7 +320,7 @@ def _session_rows(session: Session | None) -> Iterable[tuple[str, Any]]:
         ("turns of the sample", _degrees(plan.rotations_deg)),
         ("exposures", ", ".join(f"{1e3 * t:.4g}" for t in plan.exposures_s) + " ms"),
         ("reflectance of the white standard", f"{m.standard.reflectance:g}"),
-        *((figure.words, figure.text(m)) for effect in all_effects() for figure in effect.figures),
+        *((each.words, each.text(m)) for effect in all_effects() for each in effect.quantities),
     ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from gonio.calibration.faults.base import Finding
 from gonio.calibration.faults.evidence import Evidence
 from gonio.metadata import Metadata
-from gonio.rig.frame_files import Place, describe
+from gonio.rig.frame_files import FrameIndex, describe
 from gonio.rig.pictures import full_count
 from gonio.rig.sources import Source
 
@@ -18,7 +18,9 @@ _SHOWN = 3  # files that a finding names
 _FULL, _FEW = 0.98, 10  # of what so many bits hold; pixels at the end of the counts
 
 
-def of_files(metadata: Metadata, n_summed: int, read: dict[Place, Source]) -> tuple[Finding, ...]:
+def of_files(
+    metadata: Metadata, n_summed: int, read: dict[FrameIndex, Source]
+) -> tuple[Finding, ...]:
     """What is wrong with the files of a session's frames.
 
     Parameters
@@ -36,7 +38,9 @@ def of_files(metadata: Metadata, n_summed: int, read: dict[Place, Source]) -> tu
     )
 
 
-def _fewer_bits(metadata: Metadata, n_summed: int, read: dict[Place, Source]) -> Iterator[Finding]:
+def _fewer_bits(
+    metadata: Metadata, n_summed: int, read: dict[FrameIndex, Source]
+) -> Iterator[Finding]:
     """Counts that end where fewer bits end than the camera is said to have."""
     brightest = max(read.values(), key=lambda source: (source.high, source.at_high))
     saturation = metadata.camera.saturation_dn // n_summed
@@ -54,7 +58,7 @@ def _fewer_bits(metadata: Metadata, n_summed: int, read: dict[Place, Source]) ->
         )
 
 
-def _empty(metadata: Metadata, n_summed: int, read: dict[Place, Source]) -> Iterator[Finding]:
+def _empty(metadata: Metadata, n_summed: int, read: dict[FrameIndex, Source]) -> Iterator[Finding]:
     """Frames in which every pixel has the same count, where some light was to be expected.
 
     The short exposures of a dark image may well be so, the longest may not, nor any that follows
@@ -63,20 +67,20 @@ def _empty(metadata: Metadata, n_summed: int, read: dict[Place, Source]) -> Iter
     plan = metadata.plan
     full = full_count(metadata.camera) / n_summed
     last = len(plan.exposures_s) - 1
-    for place, source in read.items():
+    for index, source in read.items():
         if not source.empty:
             continue
-        shorter = [read[place._replace(exposure=k)] for k in range(place.exposure)]
-        what = describe(plan, place)
+        shorter = [read[index._replace(exposure=k)] for k in range(index.exposure)]
+        what = describe(plan, index)
         if source.low >= full:
-            if place.exposure == 0:
+            if index.exposure == 0:
                 yield Finding(
                     "saturated_frame",
                     "error",
                     f"{source.file}: {what}: every pixel is saturated in the shortest exposure; "
                     "take a shorter one.",
                 )
-        elif place.exposure == last or any(not before.empty for before in shorter):
+        elif index.exposure == last or any(not before.empty for before in shorter):
             yield Finding(
                 "empty_frame",
                 "error",
@@ -85,7 +89,7 @@ def _empty(metadata: Metadata, n_summed: int, read: dict[Place, Source]) -> Iter
             )
 
 
-def _same_files(read: dict[Place, Source]) -> Iterator[Finding]:
+def _same_files(read: dict[FrameIndex, Source]) -> Iterator[Finding]:
     """Two frames that are one file, copied."""
     first: dict[str, Source] = {}
     for source in read.values():
@@ -102,11 +106,11 @@ def _same_files(read: dict[Place, Source]) -> Iterator[Finding]:
 
 
 def with_files(
-    found: Iterable[Finding], metadata: Metadata, names: dict[Place, str]
+    findings: Iterable[Finding], metadata: Metadata, names: dict[FrameIndex, str]
 ) -> Iterator[Finding]:
     """Findings that name the files of the frames that they name."""
     called = _files_by_name(metadata, names)
-    for finding in found:
+    for finding in findings:
         text, files = finding.text, list[str]()
         for name, own in called:
             if name in text:
@@ -118,14 +122,14 @@ def with_files(
         yield replace(finding, text=finding.text + ending)
 
 
-def _files_by_name(metadata: Metadata, names: dict[Place, str]) -> list[tuple[str, list[str]]]:
+def _files_by_name(metadata: Metadata, names: dict[FrameIndex, str]) -> list[tuple[str, list[str]]]:
     """Files of each image and frame by what findings call it, longest name first."""
     nowhere = np.zeros((1, 1))
     evidence = Evidence(metadata, nowhere, nowhere)
     called: dict[str, list[str]] = {}
-    for place, file in names.items():
-        if place.channel == 0:
-            image = (place.role, place.take, place.incidence)
+    for index, file in names.items():
+        if index.channel == 0:
+            image = (index.role, index.take, index.incidence)
             called.setdefault(evidence.name(image), []).append(file)
-            called[evidence.name(image, place.exposure)] = [file]
+            called[evidence.name(image, index.exposure)] = [file]
     return sorted(called.items(), key=lambda each: -len(each[0]))

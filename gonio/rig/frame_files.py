@@ -1,4 +1,4 @@
-"""Which file is which frame: from a pattern of names, or from a table."""
+"""The file of each frame, by a pattern of names or by a table."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SHOWN = 5
 _MOST_STRANGERS = 100_000
 
 
-class Place(NamedTuple):
+class FrameIndex(NamedTuple):
     """A frame by its indices in the plan."""
 
     role: str
@@ -46,22 +46,22 @@ class FrameFiles:
 
     Parameters
     ----------
-    names : dict of Place to str
+    names : dict of FrameIndex to str
         File of each frame, relative to the rig's folder, in the plan's order.
     strangers : tuple of str
         Pictures in the folder that are not of the plan.
     """
 
-    names: dict[Place, str]
+    names: dict[FrameIndex, str]
     strangers: tuple[str, ...]
 
 
-def places(plan: Plan) -> Iterator[Place]:
+def frame_indices(plan: Plan) -> Iterator[FrameIndex]:
     """All frames of a plan in the order in which they are taken."""
     for role, take, incidence in plan.images():
         for channel in range(len(plan.channels)):
             for exposure in range(len(plan.exposures_s)):
-                yield Place(role, take, incidence, exposure, channel)
+                yield FrameIndex(role, take, incidence, exposure, channel)
 
 
 def find(rig: RigFile) -> FrameFiles:
@@ -83,7 +83,7 @@ def find(rig: RigFile) -> FrameFiles:
     if frames.csv is not None:
         names = _of_table(rig, frames.csv)
     else:
-        names = {place: _name(rig, place) for place in places(plan)}
+        names = {index: _name(rig, index) for index in frame_indices(plan)}
         _check_distinct(rig, names)
     for name in names.values():
         _check_ending(rig, name)
@@ -96,32 +96,32 @@ def find(rig: RigFile) -> FrameFiles:
 # ---------------------------------------------------------------- by a pattern
 
 
-def _name(rig: RigFile, place: Place) -> str:
+def _name(rig: RigFile, index: FrameIndex) -> str:
     """Name of a frame's file by the pattern."""
     frames, plan = rig.table.frames, rig.table.plan
     assert frames.pattern is not None
     own = {"background": frames.pattern_of_background, "standard": frames.pattern_of_standard}
-    is_sample = place.role == "sample"
-    seconds = plan.exposures_s[place.exposure]
+    is_sample = index.role == "sample"
+    seconds = plan.exposures_s[index.exposure]
     values = {
-        "role": _role_name(frames, plan, place),
-        "theta_i": plan.incidences(place.role)[place.incidence],
-        "rotation": plan.rotations_deg[place.take] if is_sample else 0.0,
-        "take": 1 if is_sample else place.take + 1,
+        "role": _role_name(frames, plan, index),
+        "theta_i": plan.incidences(index.role)[index.incidence],
+        "rotation": plan.rotations_deg[index.take] if is_sample else 0.0,
+        "take": 1 if is_sample else index.take + 1,
         "exposure_s": seconds,
         "exposure_ms": seconds * 1e3,
         "exposure_us": seconds * 1e6,
-        "channel": plan.channels[place.channel].name,
+        "channel": plan.channels[index.channel].name,
     }
-    return formatted(own.get(place.role) or frames.pattern, values, str(rig.path))
+    return formatted(own.get(index.role) or frames.pattern, values, str(rig.path))
 
 
-def _role_name(frames: FramesTable, plan: Plan, place: Place) -> str:
+def _role_name(frames: FramesTable, plan: Plan, index: FrameIndex) -> str:
     roles = frames.roles
-    alone = plan.standard_theta_i_deg is not None and place.incidence == len(plan.theta_i_deg)
-    if place.role == "background" and alone:
+    alone = plan.standard_theta_i_deg is not None and index.incidence == len(plan.theta_i_deg)
+    if index.role == "background" and alone:
         return roles.background_of_standard or roles.background
-    return str(getattr(roles, place.role))
+    return str(getattr(roles, index.role))
 
 
 def formatted(pattern: str, values: dict[str, Any], where: str = "frames") -> str:
@@ -191,20 +191,20 @@ def _formatted(field: str, value: Any, spec: str, conversion: str | None, where:
     return format(int(number), spec)
 
 
-def _check_distinct(rig: RigFile, names: dict[Place, str]) -> None:
-    first: dict[str, Place] = {}
-    for place, name in names.items():
+def _check_distinct(rig: RigFile, names: dict[FrameIndex, str]) -> None:
+    first: dict[str, FrameIndex] = {}
+    for index, name in names.items():
         if name in first:
-            one, other = (describe(rig.table.plan, p) for p in (first[name], place))
+            one, other = (describe(rig.table.plan, p) for p in (first[name], index))
             raise ConfigurationError(
                 f"{rig.path}: the pattern gives the name {name!r} to two frames, {one} and "
-                f"{other}; {_hint(rig.table.plan, first[name], place)}.",
+                f"{other}; {_hint(rig.table.plan, first[name], index)}.",
                 value=name,
             )
-        first[name] = place
+        first[name] = index
 
 
-def _hint(plan: Plan, one: Place, other: Place) -> str:
+def _hint(plan: Plan, one: FrameIndex, other: FrameIndex) -> str:
     """What the pattern lacks to tell two frames apart."""
     if one.role != other.role:
         return "put {role} into it"
@@ -225,7 +225,7 @@ def _hint(plan: Plan, one: Place, other: Place) -> str:
 # ---------------------------------------------------------------- by a table
 
 
-def _of_table(rig: RigFile, table: str) -> dict[Place, str]:
+def _of_table(rig: RigFile, table: str) -> dict[FrameIndex, str]:
     """Files by a CSV with a row for each frame."""
     path = inside(rig.folder, table, f"{rig.path}: frames.csv")
     try:
@@ -246,7 +246,7 @@ def _of_table(rig: RigFile, table: str) -> dict[Place, str]:
             )
     if len(set(header)) < len(header):
         raise DataError(f"{path}: a column is named twice.", value=path)
-    names: dict[Place, str] = {}
+    names: dict[FrameIndex, str] = {}
     users: dict[str, int] = {}
     for number, row in enumerate(rows[1:], start=2):
         if not any(word.strip() for word in row):
@@ -258,11 +258,11 @@ def _of_table(rig: RigFile, table: str) -> dict[Place, str]:
                 value=row,
             )
         record = {name: word.strip() for name, word in zip(header, row, strict=True)}
-        place, name = _place(rig.table.plan, record, where), record["file"]
-        if place in names:
+        index, name = _index_of_row(rig.table.plan, record, where), record["file"]
+        if index in names:
             raise DataError(
-                f"{where}: {describe(rig.table.plan, place)} is {name!r}, and was "
-                f"{names[place]!r} above; a frame has one file.",
+                f"{where}: {describe(rig.table.plan, index)} is {name!r}, and was "
+                f"{names[index]!r} above; a frame has one file.",
                 value=name,
             )
         if name in users:
@@ -271,19 +271,19 @@ def _of_table(rig: RigFile, table: str) -> dict[Place, str]:
                 "has a file of its own.",
                 value=name,
             )
-        names[place], users[name] = name, number
-    absent = [place for place in places(rig.table.plan) if place not in names]
+        names[index], users[name] = name, number
+    absent = [index for index in frame_indices(rig.table.plan) if index not in names]
     if absent:
-        listed = "; ".join(describe(rig.table.plan, place) for place in absent[:_SHOWN])
+        listed = "; ".join(describe(rig.table.plan, index) for index in absent[:_SHOWN])
         raise DataError(
             f"{path}: {len(absent)} of {rig.table.plan.n_frames} frames of the plan have no row: "
             f"{listed}{_more(len(absent))}.",
             value=absent,
         )
-    return {place: names[place] for place in places(rig.table.plan)}
+    return {index: names[index] for index in frame_indices(rig.table.plan)}
 
 
-def _place(plan: Plan, record: dict[str, str], where: str) -> Place:
+def _index_of_row(plan: Plan, record: dict[str, str], where: str) -> FrameIndex:
     """The frame of a row."""
     role = record["role"]
     roles = [*plan.roles, *([OWN_BACKGROUND] if plan.standard_theta_i_deg is not None else [])]
@@ -293,14 +293,14 @@ def _place(plan: Plan, record: dict[str, str], where: str) -> Place:
     own = role == OWN_BACKGROUND
     role = "background" if own else role
     angles = list(plan.incidences(role))
-    incidence = _index(theta_i, angles, f"{where}: theta_i_deg", "plan.theta_i_deg")
+    incidence = _position_in(theta_i, angles, f"{where}: theta_i_deg", "plan.theta_i_deg")
     if own:
         incidence = len(angles) - 1
-    exposure = _index(
+    exposure = _position_in(
         _number(record, "exposure_s", where), plan.exposures_s,
         f"{where}: exposure_s", "plan.exposures_s",
     )  # fmt: skip
-    return Place(
+    return FrameIndex(
         role, _take(plan, role, record, where), incidence, exposure, _channel(plan, record, where)
     )
 
@@ -309,14 +309,16 @@ def _take(plan: Plan, role: str, record: dict[str, str], where: str) -> int:
     if role == "sample":
         if not record.get("rotation_deg") and len(plan.rotations_deg) == 1:
             return 0
-        return _index(
+        return _position_in(
             _number(record, "rotation_deg", where), plan.rotations_deg,
             f"{where}: rotation_deg", "plan.rotations_deg",
         )  # fmt: skip
     if not record.get("take") and plan.repeats == 1:
         return 0
     takes = range(1, plan.repeats + 1)
-    return _index(_number(record, "take", where), takes, f"{where}: take", "1 to plan.repeats")
+    return _position_in(
+        _number(record, "take", where), takes, f"{where}: take", "1 to plan.repeats"
+    )
 
 
 def _channel(plan: Plan, record: dict[str, str], where: str) -> int:
@@ -337,7 +339,7 @@ def _number(record: dict[str, str], column: str, where: str) -> float:
         raise DataError(f"{where}: {column} = {text!r} is not a number.", value=text) from None
 
 
-def _index(value: float, allowed: Sequence[float], what: str, where: str) -> int:
+def _position_in(value: float, allowed: Sequence[float], what: str, where: str) -> int:
     for k, each in enumerate(allowed):
         if abs(value - each) <= 1e-6 * max(abs(each), 1e-6):
             return k
@@ -348,7 +350,7 @@ def _index(value: float, allowed: Sequence[float], what: str, where: str) -> int
 # ---------------------------------------------------------------- both
 
 
-def describe(plan: Plan, place: Place) -> str:
+def describe(plan: Plan, index: FrameIndex) -> str:
     """A frame in words.
 
     Examples
@@ -357,14 +359,14 @@ def describe(plan: Plan, place: Place) -> str:
     >>> describe(plan, Place("sample", 1, 1, 0, 0))
     'sample at 30 deg, rotation 90 deg, 4 ms'
     """
-    text = f"{place.role} at {plan.incidences(place.role)[place.incidence]:g} deg"
-    if place.role == "sample" and len(plan.rotations_deg) > 1:
-        text += f", rotation {plan.rotations_deg[place.take]:g} deg"
-    elif place.role != "sample" and plan.repeats > 1:
-        text += f", take {place.take + 1}"
-    text += f", {plan.exposures_s[place.exposure] * 1e3:g} ms"
+    text = f"{index.role} at {plan.incidences(index.role)[index.incidence]:g} deg"
+    if index.role == "sample" and len(plan.rotations_deg) > 1:
+        text += f", rotation {plan.rotations_deg[index.take]:g} deg"
+    elif index.role != "sample" and plan.repeats > 1:
+        text += f", take {index.take + 1}"
+    text += f", {plan.exposures_s[index.exposure] * 1e3:g} ms"
     if len(plan.channels) > 1:
-        text += f", channel {plan.channels[place.channel].name}"
+        text += f", channel {plan.channels[index.channel].name}"
     return text
 
 
@@ -378,16 +380,16 @@ def _check_ending(rig: RigFile, name: str) -> None:
         )
 
 
-def _strangers(folder: Path, known: set[str]) -> Iterator[str]:
+def _strangers(folder: Path, used: set[str]) -> Iterator[str]:
     """Pictures in the folder that no frame is read from."""
-    endings = {Path(name).suffix.lower() for name in known}
+    endings = {Path(name).suffix.lower() for name in used}
     for path in islice(sorted(folder.rglob("*")), _MOST_STRANGERS):
         name = path.relative_to(folder).as_posix()
-        if path.suffix.lower() in endings and name not in known and path.is_file():
+        if path.suffix.lower() in endings and name not in used and path.is_file():
             yield name
 
 
-def _check_there(rig: RigFile, names: dict[Place, str], strangers: Sequence[str]) -> None:
+def _check_there(rig: RigFile, names: dict[FrameIndex, str], strangers: Sequence[str]) -> None:
     missing = [name for name in names.values() if not (rig.folder / name).is_file()]
     if not missing:
         return

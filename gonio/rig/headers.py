@@ -173,11 +173,11 @@ def _tiff_pages(file: BinaryIO, name: str) -> Iterator[dict[int, int]]:
     big = version == 43
     count, entry, offset = ("Q", "HHQ", "Q") if big else ("H", "HHI", "I")
     at = struct.unpack_from(order + offset, start, 8 if big else 4)[0]
-    seen: set[int] = set()
+    visited: set[int] = set()
     while at:
-        if at in seen or len(seen) > 64:
+        if at in visited or len(visited) > 64:
             raise ValueError("pages in a circle")
-        seen.add(at)
+        visited.add(at)
         file.seek(at)
         (n,) = _unpack(file, order + count)
         if n > _LARGEST_TABLE:

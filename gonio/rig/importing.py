@@ -21,7 +21,7 @@ from gonio.files import write_text
 from gonio.kernels.threads import default_threads
 from gonio.metadata import Metadata
 from gonio.rig import frame_faults, records, session_file, sources
-from gonio.rig.frame_files import FrameFiles, Place, find
+from gonio.rig.frame_files import FrameFiles, FrameIndex, find
 from gonio.rig.headers import Header, check_bytes, read_header
 from gonio.rig.pictures import Sampling, opencv_silent, read_pixels
 from gonio.rig.raw import RAW_ENDINGS, RawHeader, read_raw_header
@@ -35,21 +35,21 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import, or a check, found.
+    """Result of an import, or of a check.
 
     Parameters
     ----------
     session : Session or None
-        None where the frames were only checked.
+        None if the frames were only checked.
     metadata : Metadata
     done : tuple of str
-        What was made of the files, in sentences.
+        What was done with the files, in sentences.
     warnings : tuple of str
-        What is no fault of a frame, such as pictures that are not of the plan.
+        Sentences about other things than faults of frames, such as pictures outside the plan.
     findings : tuple of Finding
         What is wrong with the frames, errors first.
     n_new : int
-        Frames that were read now; the others were there from before.
+        Number of frames read now; the others were read before.
     """
 
     session: Session | None
@@ -77,7 +77,7 @@ def import_rig(
         Folder of the session. An import that was interrupted is continued; so is one after which
         files were replaced: only those are read again.
     threads : int, optional
-        Files are read in so many threads; the session does not depend on it.
+        Number of worker threads; the session does not depend on it.
     progress : callable, optional
         Called with (frames done, frames in all).
 
@@ -105,19 +105,19 @@ def import_rig(
     described = prepared.described
     session = Session.create(output, described.metadata)
     write_text(session.path / session_file.NAME, prepared.rig.text)
-    known = {
-        place: source
-        for place, source in sources.read(session.path).items()
-        if session.has(*place[:4], channel=place.channel)
+    sources_read = {
+        index: source
+        for index, source in sources.read(session.path).items()
+        if session.has(*index[:4], channel=index.channel)
     }
     n_new = 0
-    for place, frame, source in _read_all(prepared, known, threads, progress):
+    for index, frame, source in _read_all(prepared, sources_read, threads, progress):
         if frame is not None:
-            session.write(*place[:4], frame, channel=place.channel)
-            sources.append(session.path, place, source)
+            session.write(*index[:4], frame, channel=index.channel)
+            sources.append(session.path, index, source)
             n_new += 1
-        known[place] = source
-    return _judged(prepared, session, known, n_new, threads)
+        sources_read[index] = source
+    return _judged(prepared, session, sources_read, n_new, threads)
 
 
 def check_frames(
@@ -138,7 +138,7 @@ def check_frames(
         As `import_rig` does.
     """
     prepared = _Prepared.of(folder)
-    read = {place: source for place, _, source in _read_all(prepared, {}, threads, progress)}
+    read = {index: source for index, _, source in _read_all(prepared, {}, threads, progress)}
     return _judged(prepared, None, read, 0, threads)
 
 
@@ -159,14 +159,14 @@ class _Prepared:
         names = list(files.names.values())
         with ThreadPoolExecutor(default_threads()) as pool:
             headers = dict(zip(names, pool.map(partial(_header, rig), names), strict=True))
-        _check_alike(headers)
+        _check_uniform(headers)
         name, header = next(iter(headers.items()))
         sampling = Sampling.of(header, rig.table.frames, name)
         return cls(rig, files, headers, sampling, records.describe(rig, header, sampling, name))
 
-    def read(self, place: Place) -> tuple[Frame, Source]:
+    def read(self, index: FrameIndex) -> tuple[Frame, Source]:
         """One frame of the session, with its source."""
-        name = self.files.names[place]
+        name = self.files.names[index]
         path = self.rig.folder / name
         try:
             data = path.read_bytes()
@@ -187,13 +187,13 @@ class _Unwritten(Session):
         self._prepared = prepared
 
     def require_complete(self) -> None:
-        """It is: `find` has seen every file."""
+        """It is complete: `find` has checked every file."""
 
     def frame(
         self, role: str, take: int, incidence: int, exposure: int, *, channel: int = 0
     ) -> Frame:
         """One frame, decoded anew."""
-        return self._prepared.read(Place(role, take, incidence, exposure, channel))[0]
+        return self._prepared.read(FrameIndex(role, take, incidence, exposure, channel))[0]
 
 
 def _header(rig: RigFile, name: str) -> Header:
@@ -204,7 +204,7 @@ def _header(rig: RigFile, name: str) -> Header:
     return header
 
 
-def _check_alike(headers: dict[str, Header]) -> None:
+def _check_uniform(headers: dict[str, Header]) -> None:
     """All frames have one size, one depth and, where raw, one kind of sensor."""
     _check_one(
         {name: header.kind == "raw" for name, header in headers.items()},
@@ -232,15 +232,15 @@ def _check_alike(headers: dict[str, Header]) -> None:
     )
 
 
-def _check_one(found: dict[str, T], told: Callable[[T], str], rule: str) -> None:
+def _check_one(by_file: dict[str, T], words: Callable[[T], str], rule: str) -> None:
     """Refuse the first file that differs from most."""
-    if len(set(found.values())) < 2:
+    if len(set(by_file.values())) < 2:
         return
-    usual, _ = Counter(found.values()).most_common(1)[0]
-    odd = [name for name, value in found.items() if value != usual]
+    usual, _ = Counter(by_file.values()).most_common(1)[0]
+    odd = [name for name, value in by_file.items() if value != usual]
     more = f" (so {'are' if len(odd) > 2 else 'is'} {len(odd) - 1} more)" if len(odd) > 1 else ""
     raise DataError(
-        f"{odd[0]}: {told(found[odd[0]])} and most of the others do not: {told(usual)}{more}; "
+        f"{odd[0]}: {words(by_file[odd[0]])} and most of the others do not: {words(usual)}{more}; "
         f"{rule}.",
         value=odd,
     )
@@ -248,32 +248,32 @@ def _check_one(found: dict[str, T], told: Callable[[T], str], rule: str) -> None
 
 def _read_all(
     prepared: _Prepared,
-    known: dict[Place, Source],
+    sources_read: dict[FrameIndex, Source],
     threads: int | None,
     progress: Progress | None,
-) -> Iterator[tuple[Place, Frame | None, Source]]:
-    """Every frame in the plan's order; no pixels for those whose file is still as known."""
+) -> Iterator[tuple[FrameIndex, Frame | None, Source]]:
+    """Every frame in the plan's order; no pixels for those whose file is unchanged."""
 
-    def look(place: Place) -> tuple[Place, Frame | None, Source]:
-        source = known.get(place)
-        if source is not None and source.sha256 == _digest(prepared, place):
-            return place, None, replace(source, file=prepared.files.names[place])
-        return place, *prepared.read(place)
+    def look(index: FrameIndex) -> tuple[FrameIndex, Frame | None, Source]:
+        source = sources_read.get(index)
+        if source is not None and source.sha256 == _digest(prepared, index):
+            return index, None, replace(source, file=prepared.files.names[index])
+        return index, *prepared.read(index)
 
     n = threads or default_threads()
     waiting, done = iter(prepared.files.names), 0
     with opencv_silent(), ThreadPoolExecutor(n) as pool:
         # Some frames at a time: what is decoded waits in memory until it is written.
         while batch := list(islice(waiting, 2 * n)):
-            for found in pool.map(look, batch):
-                yield found
+            for frame in pool.map(look, batch):
+                yield frame
                 done += 1
                 if progress is not None:
                     progress(done, len(prepared.files.names))
 
 
-def _digest(prepared: _Prepared, place: Place) -> str:
-    name = prepared.files.names[place]
+def _digest(prepared: _Prepared, index: FrameIndex) -> str:
+    name = prepared.files.names[index]
     try:
         return sha256((prepared.rig.folder / name).read_bytes()).hexdigest()
     except OSError as error:
@@ -283,7 +283,7 @@ def _digest(prepared: _Prepared, place: Place) -> str:
 def _judged(
     prepared: _Prepared,
     session: Session | None,
-    read: dict[Place, Source],
+    read: dict[FrameIndex, Source],
     n_new: int,
     threads: int | None,
 ) -> Imported:
@@ -296,13 +296,13 @@ def _judged(
     names = prepared.files.names
     if any(finding.code == "same_file" for finding in own):
         of_session = tuple(finding for finding in of_session if finding.code != "same_frame")
-    found = [*own, *frame_faults.with_files(of_session, metadata, names)]
+    findings = [*own, *frame_faults.with_files(of_session, metadata, names)]
     return Imported(
         session=session,
         metadata=metadata,
         done=prepared.described.done,
         warnings=tuple(_about_strangers(prepared.files.strangers)),
-        findings=tuple(sorted(found, key=lambda finding: finding.severity != "error")),
+        findings=tuple(sorted(findings, key=lambda finding: finding.severity != "error")),
         n_new=n_new,
     )
 

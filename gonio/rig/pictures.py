@@ -40,7 +40,7 @@ class Sampling:
         Of the file.
     cell : int
         Distance of a plane's pixels on the sensor: 2 for one colour of a mosaic, else 1.
-    places : tuple of (int, int)
+    positions : tuple of (int, int)
         Row and column in the cell of the pixels that are used; they are summed.
     region : tuple of int
         First column and row, columns and rows that are kept, counted in pixels of the plane.
@@ -51,7 +51,7 @@ class Sampling:
     rows: int
     columns: int
     cell: int
-    places: tuple[tuple[int, int], ...]
+    positions: tuple[tuple[int, int], ...]
     region: tuple[int, int, int, int]
     binning: int
 
@@ -65,7 +65,7 @@ class Sampling:
             If the region lies outside the frame or is not made of whole blocks.
         """
         cell = 1
-        places: tuple[tuple[int, int], ...] = ((0, 0),)
+        positions: tuple[tuple[int, int], ...] = ((0, 0),)
         if isinstance(header, RawHeader):
             if frames.plane is None:
                 raise ConfigurationError(
@@ -74,7 +74,7 @@ class Sampling:
                     "mono for a sensor without filters.",
                     value=name,
                 )
-            places = header.places(frames.plane, name)
+            positions = header.positions(frames.plane, name)
             cell = 2 if header.pattern else 1
         elif frames.plane is not None:
             raise ConfigurationError(
@@ -110,7 +110,7 @@ class Sampling:
                 f"{width - width % n} x {height - height % n} of them with frames.region_px.",
                 value=region,
             )
-        return cls(header.rows, header.columns, cell, places, region, n)
+        return cls(header.rows, header.columns, cell, positions, region, n)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -120,7 +120,7 @@ class Sampling:
     @property
     def n_summed(self) -> int:
         """Pixels of the sensor in a pixel of the session."""
-        return len(self.places) * self.binning**2
+        return len(self.positions) * self.binning**2
 
     @property
     def step(self) -> int:
@@ -128,7 +128,7 @@ class Sampling:
         return self.cell * self.binning
 
     def moved(self, centre_px: tuple[float, float]) -> tuple[float, float]:
-        """Column and row in the session of a place given in pixels of the file.
+        """Column and row in the session of a point given in pixels of the file.
 
         Examples
         --------
@@ -137,11 +137,13 @@ class Sampling:
         >>> Sampling(8, 8, 1, ((0, 0),), (0, 0, 8, 8), 2).moved((0.5, 0.5))
         (0.0, 0.0)
         """
-        middle_of_places = np.mean(self.places, axis=0)[::-1]
+        middle_of_positions = np.mean(self.positions, axis=0)[::-1]
         half = (self.binning - 1) / 2
         x, y = (
-            ((c - place) / self.cell - first - half) / self.binning
-            for c, place, first in zip(centre_px, middle_of_places, self.region[:2], strict=True)
+            ((c - position) / self.cell - first - half) / self.binning
+            for c, position, first in zip(
+                centre_px, middle_of_positions, self.region[:2], strict=True
+            )
         )
         return float(x), float(y)
 
@@ -152,7 +154,7 @@ class Sampling:
         nobody would see it.
         """
         left, top, width, height = self.region
-        planes = [pixels[row :: self.cell, column :: self.cell] for row, column in self.places]
+        planes = [pixels[row :: self.cell, column :: self.cell] for row, column in self.positions]
         kept = np.stack([plane[top : top + height, left : left + width] for plane in planes])
         if self.n_summed == 1:
             frame: Frame = kept[0].astype(np.uint16)

@@ -39,7 +39,7 @@ class RawHeader(Header):
     pattern : str
         Colours of the four filters of a cell, row by row, such as "RGGB"; "" without filters.
     black : tuple of float
-        Black level at each place of the cell, counts.
+        Black level at each position of the cell, counts.
     white : int
         Largest count.
     """
@@ -48,7 +48,7 @@ class RawHeader(Header):
     black: tuple[float, ...] = (0.0,)
     white: int = 65535
 
-    def places(self, plane: Plane, name: str) -> tuple[tuple[int, int], ...]:
+    def positions(self, plane: Plane, name: str) -> tuple[tuple[int, int], ...]:
         """Row and column within the cell of the pixels of a plane.
 
         Raises
@@ -67,21 +67,21 @@ class RawHeader(Header):
                 )
             return ((0, 0),)
         letter = _LETTERS.get(plane, "G")
-        found = tuple(divmod(k, 2) for k, c in enumerate(self.pattern) if c == letter)
+        positions = tuple(divmod(k, 2) for k, c in enumerate(self.pattern) if c == letter)
         if plane in ("green1", "green2"):
-            found = found[int(plane[-1]) - 1 :][:1]
-        if not found:
+            positions = positions[int(plane[-1]) - 1 :][:1]
+        if not positions:
             raise ConfigurationError(
                 f"{name}: the colour filters are {self.pattern} and none of them is {plane}.",
                 value=plane,
             )
-        return found
+        return positions
 
-    def black_of(self, places: tuple[tuple[int, int], ...]) -> float:
-        """Mean black level of these places, counts of one pixel."""
+    def black_of(self, positions: tuple[tuple[int, int], ...]) -> float:
+        """Mean black level of these positions, counts of one pixel."""
         if not self.pattern:
             return self.black[0]
-        return float(np.mean([self.black[2 * row + column] for row, column in places]))
+        return float(np.mean([self.black[2 * row + column] for row, column in positions]))
 
 
 def read_raw_header(path: Path, name: str) -> RawHeader:

@@ -1,4 +1,4 @@
-"""What a session's metadata say of a rig, from its description and the size of its frames."""
+"""Metadata of a session, from the description of a rig and the size of its frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Described:
     ----------
     metadata : Metadata
     done : tuple of str
-        What was made of the description, in sentences for a person.
+        What was derived from the description, in sentences.
     """
 
     metadata: Metadata
@@ -52,7 +52,7 @@ def describe(rig: RigFile, header: Header, sampling: Sampling, name: str) -> Des
     Raises
     ------
     ConfigurationError
-        If a figure is missing, or sums of counts do not fit into 16 bits.
+        If a value is missing, or sums of counts do not fit into 16 bits.
     DataError
         If the lens was calibrated with frames of another size.
     """
@@ -77,12 +77,12 @@ def describe(rig: RigFile, header: Header, sampling: Sampling, name: str) -> Des
 
 
 def _fingerprint(metadata: Metadata, rig: RigFile, sampling: Sampling) -> str:
-    """Hash of all that the frames follow from, but for the files themselves."""
+    """Hash of all that determines the frames, except the files themselves."""
     frames = rig.table.frames
     recipe = {
         "version": __version__,
         "metadata": metadata.model_dump(mode="json"),
-        "sampling": [sampling.cell, sampling.places, sampling.region, sampling.binning],
+        "sampling": [sampling.cell, sampling.positions, sampling.region, sampling.binning],
         "counts": [frames.divide_by, frames.counts_per_unit],
     }
     return hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
@@ -110,23 +110,23 @@ def _of_frames(header: Header, sampling: Sampling, rig: RigFile) -> str:
 def _complete(rig: RigFile, header: Header, sampling: Sampling, done: list[str]) -> CameraTable:
     """The camera with black level and saturation, which raw files may state themselves."""
     camera = rig.table.camera
-    known: dict[str, float | int] = {}
+    from_raw: dict[str, float | int] = {}
     if isinstance(header, RawHeader):
-        known = {"black_dn": header.black_of(sampling.places), "saturation_dn": header.white}
+        from_raw = {"black_dn": header.black_of(sampling.positions), "saturation_dn": header.white}
     taken: dict[str, float | int] = {}
     for key in ("black_dn", "saturation_dn"):
         if getattr(camera, key) is None:
-            if key not in known:
+            if key not in from_raw:
                 meaning = (CameraTable.model_fields[key].description or "").partition(";")[0]
                 raise ConfigurationError(
                     f"{rig.path}: camera.{key} is missing ({meaning}); "
                     f"{HOW_TO_MEASURE[f'camera.{key}']}.",
                     value=key,
                 )
-            taken[key] = known[key]
+            taken[key] = from_raw[key]
     if taken:
-        told = " and ".join(f"{key} = {value:g}" for key, value in taken.items())
-        done.append(f"camera: {told}, as the raw files say")
+        settings = " and ".join(f"{key} = {value:g}" for key, value in taken.items())
+        done.append(f"camera: {settings}, as the raw files say")
     if camera.gamma != 1 and sampling.n_summed > 1:
         raise ConfigurationError(
             f"{rig.path}: with camera.gamma = {camera.gamma:g} counts are not in proportion to the "
@@ -150,7 +150,7 @@ def _complete(rig: RigFile, header: Header, sampling: Sampling, done: list[str])
 
 
 def _camera(camera: CameraTable, sampling: Sampling, rig: RigFile) -> Camera:
-    """Figures of the session's pixels: sums of n pixels of the files."""
+    """The camera of the session's pixels: sums of n pixels of the files."""
     n = sampling.n_summed
     assert camera.black_dn is not None
     assert camera.saturation_dn is not None
@@ -212,7 +212,7 @@ def _lens(rig: RigFile, sampling: Sampling, name: str, done: list[str]) -> LensC
 
 
 def _in_session_pixels(uncertain: Uncertain | None, step: int) -> Uncertain | None:
-    """The covariance with the centre's figures in pixels that are `step` of the file's."""
+    """The covariance with the centre in pixels that are `step` of the file's."""
     if uncertain is None or step == 1:
         return uncertain
     unit = np.array([1 / step if name.startswith("centre_") else 1.0 for name in uncertain.names])
@@ -230,10 +230,10 @@ def _certificate(rig: RigFile, done: list[str]) -> Certificate:
         reflectance, table, error = tabulated(
             standard.model, standard.parameters, tuple(abs(angle) for angle in incidences)
         )
-        told = ", ".join(f"{name} = {value:g}" for name, value in standard.parameters.items())
+        values = ", ".join(f"{name} = {value:g}" for name, value in standard.parameters.items())
         done.append(
-            f"standard: f of {standard.model} ({told}), tabulated within {max(error, 1e-8):.1g} of "
-            f"its value; reflectance {reflectance:.4f} at 8 deg"
+            f"standard: f of {standard.model} ({values}), tabulated within {max(error, 1e-8):.1g} "
+            f"of its value; reflectance {reflectance:.4f} at 8 deg"
         )
     if reflectance is None:
         raise ConfigurationError(

@@ -138,8 +138,8 @@ def _lens_of_file(
             "one.",
             value=name,
         )
-    found = lens_file.read(file)
-    return LensFile(name, found.rows, found.columns), found.lens
+    calibrated = lens_file.read(file)
+    return LensFile(name, calibrated.rows, calibrated.columns), calibrated.lens
 
 
 def sentence(error: ValidationError) -> str:
@@ -162,14 +162,14 @@ def sentence(error: ValidationError) -> str:
         field = _owner(first["loc"][:-1]).model_fields[str(first["loc"][-1])]
         meaning = f" ({field.description})" if field.description else ""
         return f"{key} is missing{meaning}{f'; {how}' if how else ''}."
-    told = first["msg"].removeprefix("Value error, ")
+    message = first["msg"].removeprefix("Value error, ")
     given = first["input"]
     shown = f" (given: {given!r})" if isinstance(given, str | int | float | list) else ""
-    return f"{f'{key}: ' if key else ''}{told}{shown}."
+    return f"{f'{key}: ' if key else ''}{message}{shown}."
 
 
 def _owner(loc: tuple[int | str, ...]) -> type[BaseModel]:
-    """The record that a place in session.toml belongs to."""
+    """The record that a key in session.toml belongs to."""
     owner: type[BaseModel] = SessionTable
     for part in loc:
         if isinstance(part, str) and part in owner.model_fields:
@@ -181,4 +181,4 @@ def _record_in(annotation: Any) -> type[BaseModel] | None:
     """The record that an annotation such as `tuple[Channel, ...]` or `Uncertain | None` holds."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for part in get_args(annotation) if (found := _record_in(part))), None)
+    return next((record for part in get_args(annotation) if (record := _record_in(part))), None)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gonio.errors import DataError
-from gonio.rig.frame_files import Place
+from gonio.rig.frame_files import FrameIndex
 
 NAME = "sources.jsonl"
 
@@ -44,25 +44,25 @@ class Source:
         return self.low == self.high
 
 
-def read(session: Path) -> dict[Place, Source]:
+def read(session: Path) -> dict[FrameIndex, Source]:
     """The sources that a session knows; what was not written to the end is left out."""
     path = session / NAME
-    known: dict[Place, Source] = {}
+    sources: dict[FrameIndex, Source] = {}
     if not path.is_file():
-        return known
+        return sources
     for line in path.read_bytes().splitlines():
         try:
             record = json.loads(line)
-            place = Place(*(record.pop(name) for name in Place._fields))
-            known[place] = Source(**record)
+            index = FrameIndex(*(record.pop(name) for name in FrameIndex._fields))
+            sources[index] = Source(**record)
         except (ValueError, KeyError, TypeError, AttributeError):
             continue  # a line that a crash cut off: its frame is read again
-    return known
+    return sources
 
 
-def append(session: Path, place: Place, source: Source) -> None:
+def append(session: Path, index: FrameIndex, source: Source) -> None:
     """Note the source of a frame."""
-    line = json.dumps({**place._asdict(), **asdict(source)}, ensure_ascii=False)
+    line = json.dumps({**index._asdict(), **asdict(source)}, ensure_ascii=False)
     try:
         with (session / NAME).open("a", encoding="utf-8") as file:
             # A line that a crash cut off must not swallow this one.

@@ -40,7 +40,7 @@ def tabulated(
     table : StandardTable
         f over reflectance/pi.
     error : float
-        Largest relative error of the interpolation, seen between the nodes.
+        Largest relative error of the interpolation between the nodes.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from gonio.metadata import Geometry, LampRecord, LensCalibration, Limits, Plan, StandardTable
 from gonio.rig.raw import Plane
 
-# How to come by a figure that must be a number, by table and key.
+# How to measure a value that must be given, by table and key.
 HOW_TO_MEASURE = {
     "camera.pitch_um": "it is the distance of two pixels in the camera's data sheet, in x and y",
     "camera.gain_dn_per_e": "take two frames of the white standard at one exposure that reaches "
@@ -52,7 +52,7 @@ class InstrumentTable(_Table):
 
 
 class CameraTable(_Table):
-    """The camera; figures of one pixel of the files, before region and binning of [frames]."""
+    """The camera: values of one pixel of the files, before region and binning of [frames]."""
 
     pitch_um: tuple[float, float] = Field(description="distance of the pixels in x and y, um")
     gain_dn_per_e: float = Field(gt=0, description="counts for an electron")

@@ -26,7 +26,7 @@ from gonio.samples import BRDFSamples
 from gonio.session import Session
 
 EFFECT = '''"""Light that the lens scatters."""
-from gonio.calibration.effects.base import Effect, Figure, TermRecord, Unknown
+from gonio.calibration.effects.base import Effect, StatedQuantity, TermRecord, Unknown
 
 FLARE = TermRecord("flare", "light that the lens scatters", evaluation="A", averages=True)
 
@@ -38,7 +38,7 @@ EFFECT = Effect(
     records=(FLARE,),
     terms=lambda measured: [FLARE.shared(0.25)],
     unknown=(Unknown("flare at another f-stop", "lens.f_stop", lambda metadata, pixel_map: True),),
-    figures=(Figure("field of the lens that flares", "lens.field_deg", "°"),),
+    quantities=(StatedQuantity("field of the lens that flares", "lens.field_deg", "°"),),
     notes=lambda metadata: ("flare: 25 % assumed",),
 )
 '''

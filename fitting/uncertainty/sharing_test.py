@@ -84,12 +84,12 @@ def _allowance(
             if q.name in names and errors.determined[index[j]]:
                 compared.append(index[j])
                 value.append(own.p[j])
-                column.append(names.compared(q.name))
+                column.append(names.index(q.name))
     design = np.eye(len(names))[column]
     at = np.ix_(compared, compared)
-    known = errors.independent[at], errors.covariance[at]
-    plain, full = (_disagreement(np.array(value), design, c) for c in known)
-    return float(np.clip(full / plain, 0.0, 1.0)) if plain > 0 else 1.0
+    covariances = errors.independent[at], errors.covariance[at]
+    independent, full = (_disagreement(np.array(value), design, c) for c in covariances)
+    return float(np.clip(full / independent, 0.0, 1.0)) if independent > 0 else 1.0
 
 
 def _disagreement(value: FloatArray, design: FloatArray, covariance: FloatArray) -> float:

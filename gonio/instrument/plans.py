@@ -91,6 +91,7 @@ def is_anisotropic(model: Model, parameters: Mapping[str, Values]) -> bool:
 
     Examples
     --------
+    >>> from gonio.models import get as get_model
     >>> is_anisotropic(get_model("ward"), {"alpha_x": 0.1, "alpha_y": 0.1})
     False
     """

@@ -62,15 +62,15 @@ def from_frame(frame: pd.DataFrame, angles: AngleUnit) -> dict[str, Any]:
             "radians unless angles='deg' is given, and brdf in sr^-1.",
             value=missing,
         )
-    columns = [np.asarray(frame[name], float) for name in ANGLES]
-    if not degrees and any(np.any(columns[k] > np.pi / 2 + 1e-6) for k in (0, 2)):
+    angles = [np.asarray(frame[name], float) for name in ANGLES]
+    if not degrees and any(np.any(angles[k] > np.pi / 2 + 1e-6) for k in (0, 2)):
         raise DataError(
             "a polar angle of the table is beyond 90 deg taken as radians; where its angles are "
             "degrees give angles='deg'."
         )
     fields = {f: _column(frame[name], f) for f, name in NAMES.items() if name in frame.columns}
-    where = Directions(*(np.radians(column) if degrees else column for column in columns))
-    return {"directions": where, **fields}
+    directions = Directions(*(np.radians(angle) if degrees else angle for angle in angles))
+    return {"directions": directions, **fields}
 
 
 def _column(column: Any, field: str) -> Any:

@@ -144,6 +144,12 @@ def fit(
     0.314159
     """
     chosen = get_model(model)
+    if start is not None and not isinstance(start, Mapping):
+        raise ConfigurationError(
+            "starting values are a mapping of names to values, such as "
+            f"{{{chosen.names[0]!r}: {chosen.parameters[0].default:g}}}, not "
+            f"{type(start).__name__}."
+        )
     held = Constraints.of(chosen, fixed, tied)
     held.refuse(start, "starting value")
     held.refuse(priors, "prior")

@@ -10,7 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from gonio._version import __version__
-from gonio.verbs import ROOMS, VERBS
+from gonio.verbs import ROOMS, TYPES, VERBS
 
 if TYPE_CHECKING:
     import gonio.board as board
@@ -42,10 +42,14 @@ if TYPE_CHECKING:
     from gonio.calibration.reduction.reduce import reduce
     from gonio.fitting.comparison.compare import compare
     from gonio.fitting.fit import fit
+    from gonio.fitting.result import FitResult
+    from gonio.geometry import Directions
+    from gonio.models import Model
     from gonio.planning.plan_search import design
     from gonio.reading import load
     from gonio.rendering.integrate import render
     from gonio.rig.importing import import_rig
+    from gonio.samples import BRDFSamples
     from gonio.simulation import simulate
     from gonio.verbs.boards import boards
     from gonio.verbs.check import check
@@ -55,6 +59,10 @@ if TYPE_CHECKING:
     from gonio.verbs.report import report
 
 __all__ = [
+    "BRDFSamples",
+    "Directions",
+    "FitResult",
+    "Model",
     "__version__",
     "board",
     "boards",
@@ -102,6 +110,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in VERBS:
         return getattr(importlib.import_module(VERBS[name]), name)
+    if name in TYPES:
+        return getattr(importlib.import_module(TYPES[name]), name)
     if name in ROOMS:
         return importlib.import_module(f"gonio.{name}")
     raise AttributeError(f"module 'gonio' has no attribute {name!r}")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import gonio.formats as formats
 from gonio.calibration.reduction.reduce import reduce
+from gonio.errors import DataError
 from gonio.progress import StagedProgress, begin
 from gonio.samples import BRDFSamples
 from gonio.session import Session
@@ -68,6 +69,12 @@ def load_with_session(
 ) -> tuple[BRDFSamples, Session | None]:
     """The selected samples of a source, and its session if the source is a session."""
     if not source.is_dir():
+        if source.suffix.lower() == ".json" and source.is_file():
+            raise DataError(
+                f"{source}: JSON is no format of BRDF samples; a fit is read by "
+                "gonio.FitResult.load and shown by 'gonio plot' and 'gonio report'.",
+                value=source,
+            )
         return formats.read(source, select=select), None
     session = Session.open(source)
     session.require_complete()

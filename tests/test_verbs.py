@@ -17,7 +17,7 @@ from virtual import small
 
 import gonio
 from gonio.errors import ConfigurationError, DataError
-from gonio.verbs import PYTHON_NAMES, ROOMS, VERBS, python_name
+from gonio.verbs import PYTHON_NAMES, ROOMS, TYPES, VERBS, python_name
 
 CLI = Path(inspect.getfile(gonio)).parent / "cli"
 
@@ -92,8 +92,8 @@ def test_the_root_shows_type_checkers_what_it_offers() -> None:
             assert isinstance(node, ast.ImportFrom)
             verbs |= {alias.name: node.module for alias in node.names}
     assert rooms == {name: f"gonio.{name}" for name in ROOMS}
-    assert verbs == VERBS
-    assert set(gonio.__all__) == {"__version__", *ROOMS, *VERBS}
+    assert verbs == VERBS | TYPES
+    assert set(gonio.__all__) == {"__version__", *ROOMS, *TYPES, *VERBS}
 
 
 def fresh(code: str) -> typing.Any:
@@ -109,7 +109,7 @@ def test_rooms_and_verbs_resolve_after_the_import_alone() -> None:
         "gonio.models.get('lambert'), gonio.geometry.Directions(0.1, 0.0, 0.2, 0.0)\n"
         "gonio.formats.read, gonio.samples.BRDFSamples, gonio.instrument.preset\n"
         "listed = [name for name in dir(gonio) if not name.startswith('_')]\n"
-        f"assert set({[*ROOMS, *VERBS]}) <= set(listed)\n"
+        f"assert set({[*ROOMS, *TYPES, *VERBS]}) <= set(listed)\n"
         "print(json.dumps([m for m in ('numba', 'cv2', 'emcee', 'matplotlib', 'scipy', 'zarr', "
         "'xarray') if m in sys.modules]))"
     )

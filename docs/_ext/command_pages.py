@@ -17,7 +17,7 @@ from notebook_files import PLAIN, executed
 
 import gonio
 from gonio.cli import group
-from gonio.verbs import VERBS, python_name
+from gonio.verbs import TYPES, VERBS, python_name
 
 # Rooms of the package in the order of the work; rooms that are not named here follow.
 ORDER = ["models", "geometry", "samples", "session", "materials", "instrument", "simulation"]
@@ -186,6 +186,8 @@ def _modules(name: str) -> Iterator[ModuleType]:
 def _members(module: ModuleType) -> Iterator[tuple[str, str]]:
     """Kind and name of the documented classes and functions that a module offers."""
     for name in getattr(module, "__all__", list(vars(module))):
+        if module.__name__ == "gonio" and name in TYPES:
+            continue  # their pages are those of their modules
         member = getattr(module, name)
         own = getattr(member, "__module__", None) == module.__name__ and not name.startswith("_")
         if callable(member) and inspect.getdoc(member) and (own or hasattr(module, "__all__")):

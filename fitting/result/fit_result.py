@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_OTHERS = {".csv", ".nc", ".toml", ".html", ".png", ".pdf", ".svg", ".tex"}
+
+
 @dataclass(frozen=True, repr=False)
 class FitResult(FitRecord):
     """A fitted model; angles in radians. `FitRecord` says what its fields are.
@@ -191,7 +194,19 @@ class FitResult(FitRecord):
         return document.to_json(self)
 
     def save(self, path: str | Path) -> None:
-        """Write the JSON document, whole or not at all; angles in it are degrees."""
+        """Write the JSON document, whole or not at all; angles in it are degrees.
+
+        Raises
+        ------
+        ConfigurationError
+            If the name is that of a table, of samples or of a picture.
+        """
+        if Path(path).suffix.lower() in _OTHERS:
+            raise ConfigurationError(
+                f"{path}: a fit is saved as JSON; name a file .json. Tables of it are "
+                "result.to_dataframe() and 'gonio report FIT.json --csv FILE'.",
+                value=path,
+            )
         write_text(Path(path), self.to_json())
 
     @classmethod

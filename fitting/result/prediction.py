@@ -36,12 +36,18 @@ def predict(record: FitRecord, model: Model, directions: Directions) -> Predicti
     Raises
     ------
     ConfigurationError
-        If the fit is a joint one: its parts have parameters of their own.
+        If the fit is a joint one: its parts have parameters of their own; or for anything but
+        `Directions`.
     """
     if record.parts:
         raise ConfigurationError(
             f"a joint fit of {len(record.parts)} parts predicts by part; choose one, as with "
             f"result.part({record.parts[0].name!r}).predict(directions)."
+        )
+    if not isinstance(directions, Directions):
+        raise ConfigurationError(
+            f"a prediction takes gonio.Directions, angles in radians, not "
+            f"{type(directions).__name__}; of samples give samples.directions."
         )
     w_i, w_r = directions.vectors()
     value, jacobian = model.gradient(w_i, w_r, model.vector(record.values()))

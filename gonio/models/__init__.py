@@ -108,7 +108,8 @@ def get(name: str | Model) -> Model:
     Raises
     ------
     ConfigurationError
-        If there is no such model, with the nearest name, or a sum lacks a term.
+        If there is no such model, with the nearest name, a sum lacks a term, or what is given is
+        neither a name nor a `Model`.
 
     Examples
     --------
@@ -125,6 +126,11 @@ def get(name: str | Model) -> Model:
         if not name.terms and name.name not in _all():
             _used[name.name] = name
         return name
+    if not isinstance(name, str):
+        raise ConfigurationError(
+            f"a model is given by its name or as a gonio.Model, not as {type(name).__name__}; a "
+            "function of arrays becomes one by Model.from_function(function, parameters)."
+        )
     if name in _used:
         return _used[name]
     if SIGN in name:

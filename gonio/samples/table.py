@@ -62,14 +62,14 @@ def from_frame(frame: pd.DataFrame, angles: AngleUnit) -> dict[str, Any]:
             "radians unless angles='deg' is given, and brdf in sr^-1.",
             value=missing,
         )
-    angles = [np.asarray(frame[name], float) for name in ANGLES]
-    if not degrees and any(np.any(angles[k] > np.pi / 2 + 1e-6) for k in (0, 2)):
+    given = [np.asarray(frame[name], float) for name in ANGLES]
+    if not degrees and any(np.any(given[k] > np.pi / 2 + 1e-6) for k in (0, 2)):
         raise DataError(
             "a polar angle of the table is beyond 90 deg taken as radians; where its angles are "
             "degrees give angles='deg'."
         )
     fields = {f: _column(frame[name], f) for f, name in NAMES.items() if name in frame.columns}
-    directions = Directions(*(np.radians(angle) if degrees else angle for angle in angles))
+    directions = Directions(*(np.radians(angle) if degrees else angle for angle in given))
     return {"directions": directions, **fields}
 
 

@@ -1,4 +1,4 @@
-"""The names in `gonio`: its verbs, its packages, and the command of each verb.
+"""The names in `gonio`: its verbs, packages and types, and the command of each verb.
 
 Some verbs are defined in other packages; the others have a file each in this folder. The root
 package, the tests and the manual's table of commands read the names here.
@@ -53,6 +53,14 @@ ROOMS = (
     "session",
     "simulation",
 )
+
+# Types that people make or receive, and the module of each.
+TYPES = {
+    "BRDFSamples": "gonio.samples",
+    "Directions": "gonio.geometry",
+    "FitResult": "gonio.fitting.result",
+    "Model": "gonio.models",
+}
 
 # Commands with another name in Python: `import` is a keyword, a subcommand is one name, and a list
 # is a package.

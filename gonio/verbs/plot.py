@@ -90,7 +90,7 @@ def plot(
     parameters : mapping of str to float, optional
         Parameters of a model, radians for angles.
     samples : BRDFSamples, optional
-        The samples of a `FitResult`.
+        The samples of a `FitResult`; by default those that a fit of this process was made of.
     select : mapping of str to str, optional
         Part of a file or of a joint fit: ``{"wavelength": "650"}``, ``{"channel": "red"}`` or
         ``{"part": NAME}``.
@@ -157,6 +157,8 @@ def _content(
             return _Content(model=source, parameters=parameters or {})
         case FitResult():
             choose = reader.choose or part_chooser(reader.select)
+            if samples is None and source.memory is not None and not source.parts:
+                samples = source.memory.samples
             return _of_fit(choose(source), samples, None, None)
         case BRDFSamples():
             chosen = formats.choose(source, reader.select)

@@ -273,7 +273,7 @@ def test_an_elliptical_lobe_with_tied_widths_is_the_isotropic_one(known, seen):
 def test_constraints_hold_for_a_model_of_arrays(seen):
     def minnaert(directions, rho, k):
         cosines = np.cos(directions.theta_i) * np.cos(directions.theta_r)
-        return rho / np.pi * cosines ** (k - 1)
+        return rho * (k + 1) / (2 * np.pi) * cosines ** (k - 1)
 
     model = models.Model.from_function(minnaert, {"rho": (0.5, 0, 1), "k": (1, 0, 2)})
     values, u = stack("minnaert", [{"rho": 0.3, "k": 0.9}] * 2, seen, noise=1e-3)

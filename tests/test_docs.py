@@ -273,7 +273,7 @@ def test_the_index_of_commands_is_that_of_the_help():
     assert [words for words in found if " " not in words] == list(_COMMANDS)
     index = command_pages.command_index(found)
     assert all(f"[`gonio {words}`](" in index for words in found)
-    assert "4 interrupted, the same command continues" in index
+    assert "4 interrupted: the same command continues" in index
 
 
 def test_the_table_gives_every_command_its_name_in_python():

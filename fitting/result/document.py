@@ -61,7 +61,7 @@ def load(path: Path, kind: type[Record]) -> Record:
         if data["posterior"] is not None:
             data["posterior"] = PosteriorSummary(**data["posterior"])
         data["warnings"] = tuple(data["warnings"])
-        _rename_keys_of_0_1(data["diagnostics"].get("identifiability"))
+        _rename_keys_of_0_1(data.get("diagnostics", {}).get("identifiability"))
         data["parts"] = tuple(_part(entry) for entry in data.get("parts", ()))
         if data.get("sharing") is not None:
             data["sharing"] = Sharing(**_with_tuple(data["sharing"], "parameters"))

@@ -78,7 +78,7 @@ def calibrate_alignment(
     >>> import gonio, tempfile
     >>> from gonio.instrument.plans import mirror_plan
     >>> instrument = gonio.instrument.preset("ideal12").with_pixels(208)
-    >>> rig = rig.altered(lamp={"half_angle_deg": 0.5})
+    >>> instrument = instrument.altered(lamp={"half_angle_deg": 0.5})
     >>> folder = tempfile.mkdtemp() + "/mirror.gonio"
     >>> plan = mirror_plan(instrument, wedge_deg=15.0)
     >>> session = gonio.simulate(output=folder, instrument=instrument, plan=plan)

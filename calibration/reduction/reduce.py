@@ -80,7 +80,7 @@ def reduce(
     >>> import gonio, tempfile
     >>> instrument = gonio.instrument.preset("ideal12").with_pixels(52)
     >>> plan = gonio.metadata.Plan(
-    ...     theta_i_deg=(20,), rotations_deg=(0,), exposures_s=rig.sensor.exposures_s
+    ...     theta_i_deg=(20,), rotations_deg=(0,), exposures_s=instrument.sensor.exposures_s
     ... )
     >>> session = gonio.simulate("white_ceramic_tile", output=tempfile.mkdtemp() + "/tile.gonio",
     ...                          instrument=instrument, plan=plan)

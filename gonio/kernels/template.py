@@ -111,7 +111,7 @@ def module_text(*pieces: str | Callable[..., Any]) -> str:
     <BLANKLINE>
     <BLANKLINE>
     @njit(cache=True, nogil=True, error_model="numpy")
-    def shifted(x):
+    def shifted(x):  # type: ignore[no-untyped-def]
         return x + n_p * STEP
     <BLANKLINE>
     """

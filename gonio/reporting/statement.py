@@ -99,8 +99,8 @@ def statement(
 
     Examples
     --------
-    >>> statement(coverage="95%", dof=9).coverage_sentence()  # doctest: +ELLIPSIS
-    'U = k u is the expanded uncertainty with the coverage factor k = 2.262, for a coverage ...'
+    >>> statement(coverage="95%", dof=9).coverage_sentence().partition(",")[0]
+    'U = k u is the expanded uncertainty with the coverage factor k = 2.262'
     >>> statement(coverage=2, serials={"lamp": "AB-1234"}).facts()
     [('Serial number, lamp', 'AB-1234')]
     """

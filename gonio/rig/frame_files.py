@@ -356,7 +356,7 @@ def describe(plan: Plan, index: FrameIndex) -> str:
     Examples
     --------
     >>> plan = Plan(theta_i_deg=(0, 30), rotations_deg=(0, 90), exposures_s=(0.004,), repeats=2)
-    >>> describe(plan, Place("sample", 1, 1, 0, 0))
+    >>> describe(plan, FrameIndex("sample", 1, 1, 0, 0))
     'sample at 30 deg, rotation 90 deg, 4 ms'
     """
     text = f"{index.role} at {plan.incidences(index.role)[index.incidence]:g} deg"

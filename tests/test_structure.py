@@ -30,7 +30,7 @@ BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
 
 # ---------------------------------------------------------------- direction of imports
 
-FOUNDATION = {"_version", "errors", "files", "geometry", "progress"}
+FOUNDATION = {"_version", "discovery", "errors", "files", "geometry", "progress"}
 SURFACE = FOUNDATION | {"kernels", "models", "samples", "shared_term", "data"}
 ALL = {"*"}
 
@@ -39,6 +39,7 @@ ALLOWED = {
     "": ALL,  # gonio/__init__.py names the verbs and rooms; nothing imports it
     "_version": set(),
     "progress": set(),
+    "discovery": set(),
     "errors": set(),
     "cache": set(),
     "files": {"errors"},

@@ -5,14 +5,13 @@ A file that defines `EFFECT = Effect(...)` is a source of error. No other file l
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from dataclasses import replace
 from functools import cache
 
 from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.calibration.effects.base import Effect, Measured
 from gonio.calibration.image_cells import ImageCells
+from gonio.discovery import records_in
 from gonio.metadata import Metadata
 from gonio.shared_term import SharedTerm
 
@@ -28,12 +27,7 @@ def all_effects() -> tuple[Effect, ...]:
     >>> "lamp_drift" in [effect.key for effect in all_effects()]
     True
     """
-    effects = []
-    for info in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{info.name}")
-        effect = getattr(module, "EFFECT", None)
-        if isinstance(effect, Effect):
-            effects.append(effect)
+    effects = records_in(__name__, "EFFECT", Effect)
     return tuple(sorted(effects, key=lambda effect: (effect.order, effect.key)))
 
 

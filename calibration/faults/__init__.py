@@ -5,12 +5,11 @@ A file that defines `QUESTION = Question(...)` is a question. No other file list
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence
+from gonio.discovery import records_in
 
 __all__ = ["all_questions", "findings"]
 
@@ -24,12 +23,7 @@ def all_questions() -> tuple[Question, ...]:
     >>> "dark_level" in [question.key for question in all_questions()]
     True
     """
-    questions = []
-    for info in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{info.name}")
-        question = getattr(module, "QUESTION", None)
-        if isinstance(question, Question):
-            questions.append(question)
+    questions = records_in(__name__, "QUESTION", Question)
     return tuple(sorted(questions, key=lambda question: (question.order, question.key)))
 
 

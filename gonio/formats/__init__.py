@@ -6,8 +6,6 @@ with these bytes is in another format (None where it is in this one), and `read(
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -17,6 +15,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.discovery import modules_in
 from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.files import sha256_of
 from gonio.samples import BRDFSamples
@@ -31,11 +30,7 @@ _SAME_NM = 1e-6
 
 @cache
 def _all() -> dict[str, ModuleType]:
-    formats: dict[str, ModuleType] = {}
-    for info in pkgutil.iter_modules(__path__):
-        if not info.name.startswith("_"):
-            module = importlib.import_module(f"{__name__}.{info.name}")
-            formats[module.NAME] = module
+    formats = {module.NAME: module for module in modules_in(__name__, private=False)}
     # A file that only its suffix gives away is taken for gonio's own table last.
     return dict(sorted(formats.items(), key=lambda item: (item[0] == "gonio_csv", item[0])))
 

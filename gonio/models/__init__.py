@@ -8,11 +8,10 @@ file that the user names (`load`), or from an installed package that announces t
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 from typing import Any
 
+from gonio.discovery import records_in
 from gonio.errors import ConfigurationError, unknown_name
 from gonio.models import external
 from gonio.models._sums import SIGN, added, term_names
@@ -43,12 +42,7 @@ _sums: dict[tuple[tuple[str, Any], ...], Model] = {}
 
 @cache
 def _all() -> dict[str, Model]:
-    models = {}
-    for info in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{info.name}")
-        model = getattr(module, "MODEL", None)
-        if isinstance(model, Model):
-            models[model.name] = model
+    models = {model.name: model for model in records_in(__name__, "MODEL", Model)}
     return dict(sorted(models.items()))
 
 

@@ -99,8 +99,8 @@ def fit(
         refuses it.
     priors : mapping of str to str, optional
         Priors in place of those that parameters declare, angles in radians: "flat", "log",
-        "normal(mean, sd)", "lognormal(median, factor)" or "half_normal(sd)". They enter the
-        posterior alone.
+        "normal(mean, sd)", "lognormal(median, factor)" or "half_normal(sd)". They change the
+        posterior only and are refused without it.
     seed : int
         Seed of the sampler, the only random step.
     threads : int, optional
@@ -119,7 +119,8 @@ def fit(
     ------
     ConfigurationError
         For an unknown model, weights, starting value or name to share, samples of one channel with
-        something to share, or parameters that cannot be fixed or tied so.
+        something to share, parameters that cannot be fixed or tied so, or priors without
+        a posterior.
     DataError
         If there are not more samples than parameters, or a posterior is asked for where there
         is no noise.
@@ -153,6 +154,11 @@ def fit(
     held = Constraints.of(chosen, fixed, tied)
     held.refuse(start, "starting value")
     held.refuse(priors, "prior")
+    if priors and not posterior:
+        raise ConfigurationError(
+            "priors change the posterior only, and none was asked for; add posterior=True.",
+            value=dict(priors),
+        )
     if share is None:
         resolve(chosen.parameters, priors)  # before anything takes long
     searched_by, law = engines.get(engine, seed), losses.get(loss)
@@ -266,14 +272,14 @@ def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -
     """
     if posterior and not law.likelihood:
         raise ConfigurationError(
-            f"loss {law.name!r} is no likelihood, so that it has no posterior; fit without one, or "
+            f"loss {law.name!r} is not a likelihood and has no posterior; fit without one, or "
             "use loss chi2 or student_t.",
             value=law.name,
         )
     if several and (law is not CHI2 or engine != engines.DEFAULT):
         raise ConfigurationError(
-            f"share and nuisance take loss {CHI2.name!r} and engine {engines.DEFAULT!r} alone, not "
-            f"{law.name!r} and {engine!r}; leave these or those out.",
+            f"share and nuisance need loss {CHI2.name!r} and engine {engines.DEFAULT!r}, not "
+            f"{law.name!r} and {engine!r}; change these, or leave share and nuisance out.",
             value=(law.name, engine),
         )
 
@@ -294,7 +300,7 @@ def _minimum(
     ):
         raise ConfigurationError(
             "several samples are fitted together with 'share', the names of the parameters that "
-            "they have in common; an empty one shares nothing."
+            "they have in common; an empty list shares nothing."
         )
     if not isinstance(samples, BRDFSamples):
         raise ConfigurationError(

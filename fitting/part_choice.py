@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 
 from gonio.errors import ConfigurationError
 from gonio.fitting.result import FitResult, PartFit
+from gonio.wording import counted
 
 
 def choose_part(
@@ -30,8 +31,7 @@ def choose_part(
     if not result.parts:
         if select:
             raise ConfigurationError(
-                f"{where}: is a fit of one BRDF, of which nothing can be selected; leave the "
-                "selection out.",
+                f"{where}: a fit of one BRDF has no parts to select; leave the selection out.",
                 value=dict(select),
             )
         return None
@@ -100,7 +100,7 @@ def part_chooser(
             middle(fit, part)
         if part is None:
             raise ConfigurationError(
-                f"{where}: is a joint fit of {len(fit.parts)} parts; choose one, as with "
+                f"{where}: a joint fit of {counted(len(fit.parts), 'part')}; choose one, as with "
                 f"{write(fit.parts[0])}, of {', '.join(p.name for p in fit.parts)}.",
                 value=where,
             )

@@ -23,8 +23,8 @@ def provenance(samples: BRDFSamples) -> dict[str, Any]:
 
 def _versions() -> dict[str, str]:
     packages = ("numpy", "scipy", "numba", "nlopt", "emcee")
-    found = {name: metadata.version(name) for name in packages}
-    return {"gonio": __version__, "python": platform.python_version(), **found}
+    versions = {name: metadata.version(name) for name in packages}
+    return {"gonio": __version__, "python": platform.python_version(), **versions}
 
 
 def _data_hash(samples: BRDFSamples) -> str:

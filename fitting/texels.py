@@ -19,6 +19,7 @@ from gonio.kernels import TexelLoops, map_blocks, texel_loops_for
 from gonio.models import Model, Parameter
 from gonio.models import get as get_model
 from gonio.models._fewer import fewer_parameters
+from gonio.wording import counted
 
 STATUS = ("converged", "not_converged", "no_data")  # in the order of the compiled loop's numbers
 BLOCK = 256  # texels that are fitted in one call
@@ -148,8 +149,9 @@ def fit_texels(
     unknowns, arguments, reported = constraints.unknowns(chosen)
     if stack.shape[1] <= len(unknowns):
         raise DataError(
-            f"{stack.shape[1]} samples a texel cannot decide the {len(unknowns)} "
-            f"{'free ' if constraints else ''}parameters of {chosen.name}; give at least "
+            f"{counted(stack.shape[1], 'sample')} a texel cannot determine the "
+            f"{counted(len(unknowns), 'free parameter' if constraints else 'parameter')} of "
+            f"{chosen.name}; give at least "
             f"{len(unknowns) + 1}."
         )
     kernel = chosen.kernel
@@ -275,11 +277,11 @@ class _Work:
         )
         if not stack.common_directions:
             return work
-        seen, lit, basis = work.room()
-        work.loops.directions(stack.angles(0, 1)[0], np.empty((6, work.width)), seen, lit)
+        kernel_angles, lit, basis = work.room()
+        work.loops.directions(stack.angles(0, 1)[0], np.empty((6, work.width)), kernel_angles, lit)
         columns = np.empty((1 + len(parameters), work.width))
-        work.loops.grid_basis(seen, work.grid, work.linear, columns, basis)
-        return replace(work, common=(seen, lit, basis))
+        work.loops.grid_basis(kernel_angles, work.grid, work.linear, columns, basis)
+        return replace(work, common=(kernel_angles, lit, basis))
 
     def room(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What directions say, which of them are lit, and the basis of a texel, to be filled."""
@@ -290,13 +292,13 @@ class _Work:
         """Fit the texels a to b."""
         if self.common is None:
             angles = stack.angles(a, b)
-            seen, lit, basis = self.room()
+            kernel_angles, lit, basis = self.room()
         else:
             angles = np.empty((0, 4, 0))
-            seen, lit, basis = self.common[0], self.common[1], self.common[2].copy()
+            kernel_angles, lit, basis = self.common[0], self.common[1], self.common[2].copy()
         values = np.ascontiguousarray(stack.values[a:b], float)
         self.loops.fit_texels(
-            seen, angles, lit, stack.weights(a, b), values, self.grid, basis, self.linear,
+            kernel_angles, angles, lit, stack.weights(a, b), values, self.grid, basis, self.linear,
             self.lower, self.upper, self.log, self.known_noise, result.parameters[a:b],
             result.stderr[a:b], result.chi2[a:b], result.status[a:b], result.determined[a:b],
             result.at_bound[a:b], result.n_samples[a:b],

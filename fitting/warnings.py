@@ -10,29 +10,29 @@ from gonio.fitting.uncertainty import covariance as uncertainty
 ONE_BY_ONE = 3  # warnings that parts of a joint fit have in common, listed one by one
 
 
-def warnings_of(found: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
-    problem = found.problem
+def warnings_of(minimum: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
+    problem = minimum.problem
     warnings = []
-    if not found.optimum.verified:
+    if not minimum.optimum.verified:
         warnings.append("the minimum was not reached: the next step would still change the fit.")
-    if found.optimum.limited:
-        names = " + ".join(problem.parameters[j].name for j in found.optimum.limited)
+    if minimum.optimum.limited:
+        names = " + ".join(problem.parameters[j].name for j in minimum.optimum.limited)
         warnings.append(
             f"{names} is at its bound 1, beyond which the surface would reflect more light than it "
-            "receives: the data alone ask for more; their intervals are those of chi-squared along "
-            "the bound."
+            "receives: the data alone would give more; their intervals are those of chi-squared "
+            "along the bound."
         )
     warnings += [
-        f"the derivative by {name} that {problem.name} gives is not that of its formula: "
-        "the fit cannot be trusted until the model's kernel is mended."
-        for name in found.faults
+        f"the derivative of {problem.name} with respect to {name} does not agree with its "
+        "formula: the fit cannot be trusted until the model's kernel is corrected."
+        for name in minimum.faults
     ]
-    known = problem.weights == "sd" and problem.quadratic and not found.parts
-    if known and found.chi2 / found.dof > MISFIT:
+    stated_noise = problem.weights == "sd" and problem.quadratic and not minimum.parts
+    if stated_noise and minimum.chi2 / minimum.dof > MISFIT:
         warnings.append(
-            f"chi2/dof is {found.chi2 / found.dof:.3g}: the model or effects it does not hold, "
-            "not the noise, make the residuals; the independent uncertainties were multiplied by "
-            f"{errors.noise_scale:.3g}."
+            f"chi2/dof is {minimum.chi2 / minimum.dof:.3g}: the residuals come from "
+            "the model, or from effects that it leaves out, not from noise; the independent "
+            f"uncertainties were multiplied by {errors.noise_scale:.3g}."
         )
     if problem.samples.n_negative:
         warnings.append(

@@ -52,19 +52,37 @@ class IncompleteFileWarning(UserWarning):
     """A file was written whose format cannot hold all that the object holds."""
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigurationError:
-    """Error for a name that is not in a list, with the nearest known name.
+def unknown_name(
+    kind: str, name: str, allowed: Iterable[str], *, of: str = ""
+) -> ConfigurationError:
+    """Error for a name that is not in a list, with the nearest name that is.
 
     The whole list follows where it is short or nothing is near.
+
+    Parameters
+    ----------
+    kind : str
+        What the name should be.
+    name : str
+        As it was given.
+    allowed : iterable of str
+    of : str
+        Whose name it would be.
 
     Examples
     --------
     >>> str(unknown_name("model", "wrd", ["ward", "lambert"]))
-    "unknown model 'wrd': did you mean 'ward'? Known: lambert, ward."
+    "unknown model 'wrd': did you mean 'ward'? Choose from lambert, ward."
     """
-    names = sorted(known)
+    names = sorted(allowed)
     near = get_close_matches(name, names, n=1, cutoff=0.5)
-    parts = [f"did you mean {near[0]!r}?"] if near else []
-    if not near or len(names) <= SHORT_LIST:
-        parts.append(f"Known: {', '.join(names)}.")
-    return ConfigurationError(f"unknown {kind} {name!r}: {' '.join(parts)}", value=name)
+    choice = f"choose from {', '.join(names)}."
+    if len(names) < 2:
+        choice = f"the only one is {names[0]}." if names else "there is none."
+    hint = f"did you mean {near[0]!r}?" if near else choice
+    if near and len(names) <= SHORT_LIST:
+        hint += f" {choice[0].upper()}{choice[1:]}"
+    owner = f" of {of}" if of else ""
+    return ConfigurationError(
+        f"unknown {kind} {name!r}{owner}{':' if near else ';'} {hint}", value=name
+    )

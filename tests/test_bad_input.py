@@ -94,7 +94,7 @@ def test_constant_data_without_u_say_nothing_of_the_noise():
     assert result.covariance is None
     assert (
         "the model leaves no residuals beyond rounding and the samples state no uncertainty: "
-        "nothing tells how uncertain the parameters are; give u_brdf." in result.warnings
+        "the parameters have no uncertainties; give u_brdf." in result.warnings
     )
 
 
@@ -160,11 +160,11 @@ def test_directions_below_the_horizon_are_refused():
 
 
 def test_fewer_samples_than_parameters_are_refused():
-    with pytest.raises(DataError, match=r"^3 samples cannot decide the 4 parameters of ward; "):
+    with pytest.raises(DataError, match=r"^3 samples cannot determine the 4 parameters of ward; "):
         gonio.fit(samples(GREY[:3]), model="ward")
     # Copies do not make them more.
     few = samples(GREY[:3]).select(np.arange(30) % 3, "ten times")
-    with pytest.raises(DataError, match=r"^3 samples cannot decide the 4 parameters of ward; "):
+    with pytest.raises(DataError, match=r"^3 samples cannot determine the 4 parameters of ward; "):
         gonio.fit(few, model="ward")
 
 
@@ -205,7 +205,7 @@ def rows(value="0.1", n=9, theta_i="30", u=None):
         ([HEADER, *rows("nan")], "nan"),
         ([HEADER, *rows("inf")], "inf"),
         ([HEADER, *rows(theta_i="95")], "horizon"),
-        ([HEADER, *rows(n=1)], "1 samples cannot decide the 1 parameters of lambert"),
+        ([HEADER, *rows(n=1)], "1 sample cannot determine the 1 parameter of lambert"),
         ([HEADER + ",u_brdf", *rows(u="0")], "column u_brdf: 0 is not positive"),
         ([HEADER + ",u_brdf", *rows(u="1e-200")], "the smallest u_brdf is 1e-200"),
         ([HEADER, *rows("1e200")], "a BRDF value is 1e+200"),
@@ -242,6 +242,6 @@ def test_one_plane_names_the_measurement_that_mends_it(fit_of):
     ]
     code, out, _ = fit_of([HEADER + ",u_brdf", *lines], model="ward")
     assert code == 0
-    assert "rho_s and alpha_y are exchanged: " in out
+    assert "rho_s and alpha_y can be exchanged: " in out
     assert "only one plane was measured, phi = 0 deg" in out
     assert "mirror direction at theta_i = " in out.split("Measure ")[1]

@@ -216,7 +216,8 @@ def test_arrays_that_do_not_fit_are_refused(change, message, seen):
 def test_too_few_samples_are_refused():
     seen = Directions(0.3, 0.0, np.linspace(0, 1, 4), 0.0)
     with pytest.raises(
-        DataError, match="4 samples a texel cannot decide the 4 parameters of ward; give at least 5"
+        DataError,
+        match="4 samples a texel cannot determine the 4 parameters of ward; give at least 5",
     ):
         fit_texels(seen, np.ones((2, 4)), "ward")
 
@@ -298,7 +299,7 @@ def test_a_texel_without_data_has_no_fixed_value(seen):
     ("constraints", "text"),
     [
         ({"fixed": {"alpha": 0.1}},
-         "unknown parameter of ward to fix 'alpha': did you mean 'alpha_y'?"),
+         "unknown fixed parameter 'alpha' of ward: did you mean 'alpha_y'?"),
         ({"fixed": {"alpha_y": 99}}, "alpha_y = 99 is out of range; allowed is 0.005 to 2."),
         ({"fixed": {"alpha_y": 0.1}, "tied": {"alpha_y": "alpha_x"}},
          "alpha_y is fixed and tied at once; leave one of the two out."),
@@ -316,6 +317,6 @@ def test_fewer_parameters_need_fewer_samples():
     few = Directions(0.3, 0.0, np.linspace(0, 1, 3), 0.0)
     with pytest.raises(
         DataError,
-        match="3 samples a texel cannot decide the 3 free parameters of ward; give at least 4",
+        match="3 samples a texel cannot determine the 3 free parameters of ward; give at least 4",
     ):
         fit_texels(few, np.ones((2, 3)), "ward", tied={"alpha_y": "alpha_x"})

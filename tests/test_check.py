@@ -469,7 +469,7 @@ def test_select_takes_one_wavelength(tmp_path):
         (["wrd"], ConfigurationError, "unknown model, material or file 'wrd': did you mean 'ward'"),
         (["missing.csv"], DataError, "missing.csv: no such file"),
         (["ward", "--select", "wavelength=650"], ConfigurationError, "--select is for files"),
-        (["ward", "-p", "alpha=1"], ConfigurationError, "unknown parameter of ward 'alpha'"),
+        (["ward", "-p", "alpha=1"], ConfigurationError, "unknown parameter 'alpha' of ward"),
         (["a.csv", "-p", "rho=1"], ConfigurationError, "a.csv is a file; -p is for models"),
         (["a.csv", "--select", "650"], ConfigurationError, "give KEY=VALUE, for instance"),
     ],

@@ -158,7 +158,7 @@ def test_usage_errors(gonio, tmp_path, words, message):
     [
         ("simulate rolled_bras", "unknown material 'rolled_bras': did you mean 'rolled_brass'?"),
         ("simulate --model wrd", "unknown model 'wrd': did you mean 'ward'?"),
-        ("simulate --model ward -p rho_x=1", "unknown parameter of ward 'rho_x': did you mean"),
+        ("simulate --model ward -p rho_x=1", "unknown parameter 'rho_x' of ward: did you mean"),
         ("simulate --model ward -p rho_d", "-p 'rho_d' is not NAME=VALUE; write for example"),
         ("simulate --model ward -p rho_d=2", "rho_d = 2 is out of range; allowed is 0 to 1."),
         ("simulate --model ward -p rho_d=a", "rho_d = 'a' is not a number; allowed is 0 to 1."),
@@ -206,7 +206,7 @@ def test_wrong_key_of_an_instrument_file(gonio, rig, tmp_path):
     ("words", "message"),
     [
         ("instruments lbl", "unknown instrument 'lbl': did you mean 'lbl1992'?"),
-        ("instruments --toml", "--toml prints the file of one preset; give its name"),
+        ("instruments --toml", "--toml prints the file of one preset; without --json, give one of"),
         ("instruments ideal12 --toml --json", "and no --json"),
         ("materials foma", "unknown material 'foma': did you mean 'foam'?"),
         ("models wrd --json", "unknown model 'wrd': did you mean 'ward'?"),

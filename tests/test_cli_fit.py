@@ -172,7 +172,7 @@ def test_bad_input_leaves_with_3(gonio, table, tmp_path):
     assert "no such file; give a file of BRDF samples." in err
     code, _, err = gonio("fit", table(n=4), "--model", "ward")
     assert code == 3
-    assert "4 samples cannot decide the 4 parameters of ward; give at least 5." in err
+    assert "4 samples cannot determine the 4 parameters of ward; give at least 5." in err
 
 
 def test_several_channels_ask_for_a_choice(gonio, table):

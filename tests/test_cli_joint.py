@@ -61,7 +61,7 @@ def test_the_tables_read_well_at_80_columns(gonio, paint):
 def test_wide_tables_are_cut_between_parameters(gonio, paint):
     code, out, _ = gonio("fit", paint(), *WARD, "--share", "none")
     assert code == 0
-    assert "nothing is shared: the parts were fitted each for itself" in out
+    assert "nothing is shared: each part was fitted by itself" in out
     assert re.search(r"^ channel +rho_d +rho_s +alpha +chi2/dof", out, re.M)
     code, out, _ = gonio("fit", paint(), "--model", "ward", "--share", "none")
     assert len(re.findall(r"^ channel", out, re.M)) == 2
@@ -117,7 +117,7 @@ def test_true_parameters_of_channels_stand_beside(gonio, tmp_path):
     [
         ((), "holds 2 channels; choose one with --select channel=VALUE, of blue, red. Or fit them "
          "together with --share NAME,..., the parameters that they have in common."),
-        (("--share", "alhpa"), "unknown parameter of ward_isotropic 'alhpa': did you mean "
+        (("--share", "alhpa"), "unknown parameter 'alhpa' of ward_isotropic: did you mean "
          "'alpha'?"),
         (("--share", ","), "--share ',': give parameters of ward_isotropic, with commas, or all or "
          "none."),
@@ -180,7 +180,7 @@ def test_report_tells_of_one_part(gonio, joint, tmp_path):
     code, _, err = gonio("report", joint, "-o", page)
     assert code == 2
     assert (
-        f"{joint}: is a joint fit of 3 parts; choose one, as with --select wavelength=450, of "
+        f"{joint}: a joint fit of 3 parts; choose one, as with --select wavelength=450, of "
         "450 nm, 550 nm, 650 nm."
     ) in " ".join(err.split())
 
@@ -196,7 +196,7 @@ def test_a_part_that_is_not_there_is_told(gonio, joint, paint, tmp_path):
     gonio("fit", paint(), *WARD, "--select", "channel=red", "-o", single)
     code, _, err = gonio("report", single, "--select", "channel=red")
     assert code == 2
-    assert "is a fit of one BRDF, of which nothing can be selected; leave --select out." in err
+    assert "a fit of one BRDF has no parts to select; leave --select out." in err
 
 
 # ---------------------------------------------------------------------- ranges
@@ -257,8 +257,8 @@ def test_paints_of_cornell_share_their_roughness(gonio, real_data, file, nm, alp
     # All wavelengths were measured at the same directions, and one misfit is no new evidence.
     alone = [part["alone"]["alpha"][1] for part in data["parts"]]
     assert min(alone) / 2 < estimate["stderr"] < max(alone)
-    assert any("the residuals of the parts are alike (correlation 0.9" in w or
-               "the residuals of the parts are alike (correlation 1 " in w
+    assert any("the residuals of the parts are correlated (correlation 0.9" in w or
+               "the residuals of the parts are correlated (correlation 1 " in w
                for w in data["warnings"])  # fmt: skip
     # Garnet red is less rough at 600 nm, where it is dark, than at 700 nm.
     assert data["sharing"]["refused"] is refused

@@ -118,7 +118,7 @@ def test_parameters_are_turned_to_radians():
     [
         (["rho_d"], "-p 'rho_d' is not NAME=VALUE; write for example -p rho_d=0.2."),
         (["=1"], "-p '=1' is not NAME=VALUE"),
-        (["rho_x=1"], "unknown parameter of ward 'rho_x': did you mean 'rho_"),
+        (["rho_x=1"], "unknown parameter 'rho_x' of ward: did you mean 'rho_"),
         (["rho_d=.1", "rho_d=.2"], "-p rho_d is given twice; give it once."),
         (["rho_d=a"], "rho_d = 'a' is not a number; allowed is 0 to 1."),
         (["rho_d=1.5"], "rho_d = 1.5 is out of range; allowed is 0 to 1."),

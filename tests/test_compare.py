@@ -101,7 +101,7 @@ def test_errors_that_the_samples_state_are_the_noise(matt, matt_compared):
 def test_a_parameter_that_is_zero_is_not_told_from_none(matt_compared):
     other = matt_compared.entries[1]
     assert not other.held_out.told_apart
-    assert "cannot tell" in matt_compared.conclusion
+    assert "cannot distinguish" in matt_compared.conclusion
     assert other.model in matt_compared.conclusion
 
 
@@ -275,9 +275,9 @@ def test_one_seed_one_result_whatever_threads_and_order(matt):
 @pytest.mark.parametrize(
     ("names", "text"),
     [
-        (["ward"], "a comparison needs two models at least and got ward;"),
-        ([], "a comparison needs two models at least and got none;"),
-        ("ward", "a comparison needs two models at least and got ward;"),
+        (["ward"], "a comparison needs at least two models and got ward;"),
+        ([], "a comparison needs at least two models and got none;"),
+        ("ward", "a comparison needs at least two models and got ward;"),
         (["ward", "ward_duers"], "unknown model 'ward_duers': did you mean 'ward_duer'"),
         (["ward", "ward"], "model ward is given twice; give it once."),
     ],
@@ -323,7 +323,7 @@ def test_the_table_fits_eighty_columns(gonio, table, monkeypatch, tmp_path):
     assert max(map(len, rows)) <= 80
     header = next(line for line in rows if "model" in line)
     assert header.split() == ["model", "P", "chi2/dof", "held-out", "LOO", "log", "Z"]
-    assert "cannot tell" in out
+    assert "cannot distinguish" in out
     assert "status: all converged" in out
     data = json.loads(target.read_text(encoding="utf-8"))
     assert data["schema"] == "gonio.compare/1"

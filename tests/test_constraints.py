@@ -223,8 +223,8 @@ def test_a_comparison_fixes_what_models_have():
     ("model", "words", "text"),
     [
         ("ward", {"fixed": {"alpha": 0.1}},
-         "unknown parameter of ward to fix 'alpha': did you mean 'alpha_y'?"),
-        ("ward", {"tied": {"alpha_y": "alpha"}}, "unknown parameter of ward to tie 'alpha'"),
+         "unknown fixed parameter 'alpha' of ward: did you mean 'alpha_y'?"),
+        ("ward", {"tied": {"alpha_y": "alpha"}}, "unknown tied parameter 'alpha' of ward"),
         ("ward", {"fixed": {"alpha_y": 99}},
          "alpha_y = 99 is out of range; allowed is 0.005 to 2."),
         ("oren_nayar", {"tied": {"sigma": "rho"}}, "sigma cannot be tied to rho: one is deg, the "

@@ -361,7 +361,7 @@ def test_a_plan_for_a_fit_with_fixed_and_tied_parameters(run, rig_file):
             ["--fix", "alpha_y=0.1", "--want", "alpha_y=0.01"],
             "alpha_y is fixed and has no wanted uncertainty; leave one of the two out.",
         ),
-        (["--want", "alpha_z=0.01"], "unknown parameter of ward 'alpha_z': did you mean 'alpha_"),
+        (["--want", "alpha_z=0.01"], "unknown parameter 'alpha_z' of ward: did you mean 'alpha_"),
         (["--want", "alpha_x=0"], "--want alpha_x=0: a relative standard uncertainty is a posi"),
         (["--want", "alpha_x=-1"], "--want alpha_x=-1: a relative standard uncertainty is a posi"),
         (["--want", "alpha_x=a"], "--want alpha_x=a: a relative standard uncertainty is a posi"),

@@ -66,8 +66,8 @@ def test_one_plane_exchanges_the_amplitude_and_the_width_across():
     assert found.not_identified == ("rho_s", "alpha_y")
     assert found.axes[0].information < 1e-10
     assert found.causes == (
-        "rho_s and alpha_y are exchanged: +10 % in rho_s and +10 % in alpha_y leave every sample "
-        "as it is (a single angle of incidence, 28.6 deg; only one plane was measured, "
+        "rho_s and alpha_y can be exchanged: +10 % in rho_s and +10 % in alpha_y leave every "
+        "sample unchanged (a single angle of incidence, 28.6 deg; only one plane was measured, "
         "phi = 0 deg).",
     )
     assert found.bound["rho_s"] is None
@@ -210,7 +210,7 @@ def test_wrong_models_are_caught(true, wrong):
     report = residuals.examine(Minimum.of(*fitted(samples, wrong, truth)))
     assert report.structured
     assert report.model_share > 0.5
-    assert report.warnings[0].startswith("the model, not the noise, dominates: its error makes ")
+    assert report.warnings[0].startswith("the model, not the noise, dominates: its error makes up ")
     assert report.warnings[0].endswith(
         "The stated uncertainties hold only for the best-fitting surface of this family of models."
     )

@@ -271,10 +271,10 @@ def test_a_wrong_derivative_is_caught_by_name():
     assert bad.status == "not_converged"
     assert not bad.ok
     assert (
-        "the derivative by k that sketch gives is not that of its formula: the fit cannot be "
-        "trusted until the model's kernel is mended." in bad.warnings
+        "the derivative of sketch with respect to k does not agree with its formula: the fit "
+        "cannot be trusted until the model's kernel is corrected." in bad.warnings
     )
-    assert not any("derivative by rho" in text for text in bad.warnings)
+    assert not any("with respect to rho" in text for text in bad.warnings)
 
 
 @pytest.mark.parametrize("name", models.names())

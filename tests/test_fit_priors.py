@@ -52,7 +52,7 @@ def test_a_prior_has_the_density_it_names_in_degrees(text):
         ("lognormal(0.1, 1)", r"needs a factor above 1 \(1\.2 means about 20 %\)\.$"),
         ("lognormal(2, 2)", r"needs a median above 0 within the bounds 0 to 1\.$"),
         ("log", r"^the prior 'log' of rho needs a lower bound above 0, and that of rho is 0: ln p "
-         r"would have no end\.$"),
+         r"would be unbounded\.$"),
     ],
 )  # fmt: skip
 def test_a_bad_prior_is_refused(text, message):
@@ -69,7 +69,7 @@ def test_priors_are_given_by_parameter_or_declared_with_it():
     assert [prior.kind for prior in found] == ["normal", "half_normal", "normal"]
     with pytest.raises(
         ConfigurationError,
-        match=r"^unknown parameter for a prior 'sigmo': did you mean 'sigma'\? Known: ",
+        match=r"^unknown parameter of a prior 'sigmo': did you mean 'sigma'\? Choose from ",
     ):
         priors.resolve((declared, red), {"sigmo": "flat"})
 
@@ -130,3 +130,9 @@ def test_a_prior_decides_where_the_data_do_not():
     )
     low, high = result.parameters["alpha"].interval_68
     assert (low, high) == pytest.approx((0.09, 0.11), abs=2e-3)
+
+
+def test_priors_without_a_posterior_are_refused():
+    message = "priors change the posterior only, and none was asked for; add posterior=True."
+    with pytest.raises(ConfigurationError, match=f"^{message}$"):
+        gonio.fit(lambertian(), model="lambert", priors={"rho": "normal(0.4, 0.1)"})

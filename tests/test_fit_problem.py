@@ -67,7 +67,10 @@ def test_sd_weights_need_uncertainties():
 
 @pytest.mark.parametrize(("model", "n", "least"), [("ward", 4, 5), ("lambert", 1, 2)])
 def test_fewer_samples_than_parameters_are_refused(model, n, least):
-    text = f"{n} samples cannot decide the {least - 1} parameters of {model}; give at least {least}"
+    text = (
+        f"{n} samples? cannot determine the {least - 1} parameters? of {model}; "
+        f"give at least {least}"
+    )
     with pytest.raises(DataError, match=f"^{text}"):
         problem_of(np.ones(n), directions(n), model)
     assert problem_of(np.ones(least), directions(least), model).n == least

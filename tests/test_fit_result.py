@@ -151,7 +151,7 @@ def test_bad_arguments_are_refused_by_name():
     samples = samples_of("lambert", rho=0.4, n=50)
     with pytest.raises(ConfigurationError, match="unknown model 'wrad': did you mean 'ward'"):
         gonio.fit(samples, model="wrad")
-    with pytest.raises(ConfigurationError, match="unknown parameter of lambert 'rh'"):
+    with pytest.raises(ConfigurationError, match="unknown parameter 'rh' of lambert"):
         gonio.fit(samples, model="lambert", start={"rh": 0.1})
     with pytest.raises(ConfigurationError, match="rho = 2 is out of range; allowed is 0 to 1"):
         gonio.fit(samples, model="lambert", start={"rho": 2})

@@ -231,7 +231,7 @@ def test_in_one_plane_an_anisotropic_lobe_is_not_determined():
         assert result.parameters[name].interval_95 is None
         assert (
             f"{name} is not determined by these data: its value is arbitrary and it has no "
-            "uncertainty; measure other directions or hold the model simpler." in result.warnings
+            "uncertainty; measure other directions or use a simpler model." in result.warnings
         )
     for name in ("rho_d", "alpha_x"):
         estimate = result.parameters[name]

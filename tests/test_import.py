@@ -251,16 +251,16 @@ def test_a_folder_without_session_toml(tmp_path):
         (
             "gain_dn_per_e = 0.1", "gain_dn_pre_e = 0.1",
             r"camera\.gain_dn_pre_e: unknown key 'gain_dn_pre_e': did you mean 'gain_dn_per_e'\? "
-            r"Known: black_dn, ",
+            r"Choose from black_dn, ",
         ),
         (
             "[lamp]", "[lampp]",
-            r"lampp: unknown table or key 'lampp': did you mean 'lamp'\? Known: camera, frames, ",
+            r"lampp: unknown table or key 'lampp': did you mean 'lamp'\? Choose from camera, ",
         ),
         (
             "[limits]", '[[plan.channels]]\nnme = "red"\n[limits]',
             r"plan\.channels\.0\.nme: unknown key 'nme': did you mean 'name'\? "
-            r"Known: name, wavelength_nm\.",
+            r"Choose from name, wavelength_nm\.",
         ),
         (
             "gain_dn_per_e = 0.1", "",
@@ -554,8 +554,11 @@ def test_a_pattern_gives_names(pattern, name):
 @pytest.mark.parametrize(
     ("pattern", "message"),
     [
-        ("{thta_i:g}.png", r"unknown field 'thta_i': did you mean 'theta_i'\? Known: channel, "),
-        ("{role.__class__}.png", r"unknown field 'role\.__class__': Known: channel, exposure"),
+        (
+            "{thta_i:g}.png",
+            r"unknown field 'thta_i': did you mean 'theta_i'\? Choose from chann",
+        ),
+        ("{role.__class__}.png", r"unknown field 'role\.__class__'; choose from channel, exposure"),
         ("{role", r"the pattern '\{role' cannot be read \(expected '\}' before end of string\)"),
         ("{theta_i:d}.png", r"theta_i = 7\.5 is no whole number and cannot be written with d; "),
         ("{theta_i:x}.png", r"the format 'x' of \{theta_i\} is not allowed; allowed is width, "),
@@ -790,7 +793,7 @@ def edited(column, value, row=1):
         (lambda rows: [*rows, ["a.png", "sample"]], r"frames\.csv, line 20: has 2 fields and the "
          r"first line names 7\."),
         (edited(1, "bakground"), r"line 2: unknown role 'bakground': did you mean 'background'\? "
-         r"Known: background, sample, standard\."),
+         r"Choose from background, sample, standard\."),
         (edited(2, "35"), r"line 2: theta_i_deg = 35 is not of the plan; plan\.theta_i_deg holds "
          r"0, 30\."),
         (edited(4, "4"), r"line 2: exposure_s = 4 is not of the plan; plan\.exposures_s holds "
@@ -880,7 +883,7 @@ def test_a_lambertian_standard_is_a_table_of_one(folder):
         ),
         (
             'model = "oren_nayar"\nparameters = { rho = 0.9, sgma = 2 }',
-            "unknown parameter of oren_nayar 'sgma': did you mean 'sigma'",
+            "unknown parameter 'sgma' of oren_nayar: did you mean 'sigma'",
         ),
         (
             'model = "ward_isotropic"\nparameters = { rho_d = 0.7, rho_s = 0.1, alpha = 0.02 }',

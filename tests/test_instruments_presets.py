@@ -230,7 +230,7 @@ class TestRefusals:
     def test_unknown_preset(self):
         with pytest.raises(
             ConfigurationError,
-            match=r"unknown instrument 'modren12': did you mean 'modern12'\? Known: ideal12,",
+            match=r"unknown instrument 'modren12': did you mean 'modern12'\? Choose from ideal12,",
         ):
             preset("modren12")
         with pytest.raises(ConfigurationError, match="unknown instrument 'modern13'"):
@@ -258,7 +258,7 @@ class TestRefusals:
             ("[surroundings]", "[surrounding]",
              r"rig.toml: surrounding: unknown key 'surrounding': did you mean 'surroundings'\?"),
             ("[surroundings]", "[dome.surroundings]",
-             "rig.toml: dome.surroundings: unknown key 'surroundings': Known: D, R,"),
+             "rig.toml: dome.surroundings: unknown key 'surroundings'; choose from D, R,"),
             ('name = "modern12"', "", "rig.toml: name: Field required."),
             ("rays_per_pixel", "rays_per_pixels",
              "unknown key 'rays_per_pixels': did you mean 'rays_per_pixel'"),

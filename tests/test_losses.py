@@ -149,7 +149,7 @@ def test_losses_that_are_no_likelihoods_have_no_posterior():
     for name in ("log", "cube_root"):
         with pytest.raises(
             ConfigurationError,
-            match=f"^loss '{name}' is no likelihood, so that it has no posterior; fit without one, "
+            match=f"^loss '{name}' is not a likelihood and has no posterior; fit without one, "
             r"or use loss chi2 or student_t\.$",
         ):
             gonio.fit(samples, model=MODEL, loss=name, posterior=True)
@@ -178,7 +178,7 @@ def test_unknown_losses_and_combinations_are_refused():
         gonio.fit(samples, model=MODEL, loss="lg")
     with pytest.raises(
         ConfigurationError,
-        match=r"^share and nuisance take loss 'chi2' and engine 'gauss_newton' alone, not 'log' "
-        r"and 'gauss_newton'; leave these or those out\.$",
+        match=r"^share and nuisance need loss 'chi2' and engine 'gauss_newton', not 'log' and "
+        r"'gauss_newton'; change these, or leave share and nuisance out\.$",
     ):
         gonio.fit([samples], model=MODEL, loss="log", share="rho_d")

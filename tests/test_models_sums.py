@@ -201,7 +201,7 @@ def test_an_empty_term_is_refused(name: str) -> None:
 
 
 def test_a_parameter_without_its_number_is_answered_with_the_nearest() -> None:
-    match = r"unknown parameter of ward\+ward 'alpha_x': did you mean 'alpha_x_[12]'"
+    match = r"unknown parameter 'alpha_x' of ward\+ward: did you mean 'alpha_x_[12]'"
     with pytest.raises(ConfigurationError, match=match):
         models.get("ward+ward")(Directions(0, 0, 0, 0), alpha_x=0.1)
 

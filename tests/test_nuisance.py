@@ -240,7 +240,7 @@ def test_a_scale_that_nobody_knows_leaves_rho_undetermined():
     assert (rho.stderr, rho.interval_95) == (None, None)
     assert (
         "rho is not determined by these data: its value is arbitrary and it has no uncertainty; "
-        "measure other directions or hold the model simpler." in result.warnings
+        "measure other directions or use a simpler model." in result.warnings
     )
 
 
@@ -400,8 +400,8 @@ def test_a_budget_that_is_too_small_is_told():
     (azimuth,) = (w for w in warnings if "'azimuth'" in w)
     assert azimuth.startswith("the data pull the shared error 'azimuth' to -9.0 of its standard ")
     assert azimuth.endswith(
-        "uncertainties: the budget is too small for it, or the model is wrong and it takes up what "
-        "the model lacks."
+        "uncertainties: the budget is too small for it, or the model is wrong and this error makes "
+        "up for it."
     )
     (lamp,) = (w for w in warnings if "'lamp'" in w)
     assert "'lamp' (draw 1) to -" in lamp
@@ -422,9 +422,9 @@ def test_many_honest_draws_are_no_reason_to_warn():
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["standart"], r"nuisance 'standart' is none of the shared errors of these samples; give "
+        (["standart"], r"nuisance 'standart' is not a shared error of these samples; give "
          r"all, none, or some of: standard; lamp; azimuth\."),
-        ("lamps", "nuisance 'lamps' is none of the shared errors"),
+        ("lamps", "nuisance 'lamps' is not a shared error"),
     ],
 )  # fmt: skip
 def test_unknown_names(names, message):
@@ -463,7 +463,7 @@ def test_a_typical_shape_is_not_learnt():
     for name in ("dome slope, shift", "dome slope"):
         with pytest.raises(
             ConfigurationError,
-            match=f"the shared error '{name}' stands for errors of many shapes by a typical one: "
+            match=f"the shared error '{name}' is only a typical shape of an error of many shapes: "
             "it is propagated and cannot be profiled; others can: standard; azimuth",
         ):
             profiled_terms(samples, [name])
@@ -618,4 +618,4 @@ def test_the_command_line_tells_what_was_learnt(tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["fit", str(path), "--model", "ward", "--nuisance", "dome"])
     assert left.value.code == 2
-    assert "Error: nuisance 'dome' is none of the shared errors" in capsys.readouterr().err
+    assert "Error: nuisance 'dome' is not a shared error" in capsys.readouterr().err

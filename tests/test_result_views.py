@@ -188,8 +188,9 @@ def test_residuals_are_measured_less_fitted(ward, tmp_path):
     ward.save(tmp_path / "fit.json")
     again = FitResult.load(tmp_path / "fit.json")
     text = (
-        "this result does not hold its samples: it was read from a file, which has the parameters "
-        "alone; fit again, or take samples.value - result.predict(samples.directions).value."
+        "this result does not hold its samples: it was read from a file, which holds the "
+        "parameters only; fit again, or take samples.value - "
+        "result.predict(samples.directions).value."
     )
     with pytest.raises(DataError, match=f"^{re.escape(text)}$"):
         again.residuals  # noqa: B018

@@ -472,7 +472,7 @@ class TestRefusals:
              r"unknown material 'rolled_bras': did you mean 'rolled_brass'\?"),
             ({"model": "wrd"}, r"unknown model 'wrd': did you mean 'ward'\?"),
             ({"model": "ward", "parameters": {"alfa_x": 0.1}},
-             r"unknown parameter of ward 'alfa_x': did you mean 'alpha_x'\?"),
+             r"unknown parameter 'alfa_x' of ward: did you mean 'alpha_x'\?"),
             ({"model": "lambert", "parameters": {"rho": 1.5}},
              "rho = 1.5 is out of range; allowed is 0 to 1"),
             ({"material": "foam", "instrument": "modern21"}, "unknown instrument 'modern21': did"),

@@ -30,7 +30,7 @@ BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
 
 # ---------------------------------------------------------------- direction of imports
 
-FOUNDATION = {"_version", "discovery", "errors", "files", "geometry", "progress"}
+FOUNDATION = {"_version", "discovery", "errors", "files", "geometry", "progress", "wording"}
 SURFACE = FOUNDATION | {"kernels", "models", "samples", "shared_term", "data"}
 ALL = {"*"}
 
@@ -40,6 +40,7 @@ ALLOWED = {
     "_version": set(),
     "progress": set(),
     "discovery": set(),
+    "wording": set(),
     "errors": set(),
     "cache": set(),
     "files": {"errors"},
@@ -49,12 +50,12 @@ ALLOWED = {
     "terms_of_0_1": set(),
     "shared_term": {"geometry", "terms_of_0_1"},
     "samples": FOUNDATION | {"shared_term"},
-    "metadata": {"errors"},
+    "metadata": {"errors", "wording"},
     "board": FOUNDATION,
     "session": FOUNDATION | {"metadata"},
     "plan_file": FOUNDATION | {"metadata"},
     "data": {"errors", "files"},
-    "checks": {"errors", "geometry", "samples", "models"},
+    "checks": {"errors", "wording", "geometry", "samples", "models"},
     "materials": SURFACE,
     "instrument": SURFACE | {"session", "metadata", "materials", "board"},
     "simulation": SURFACE | {"session", "metadata", "materials", "instrument", "plan_file"},

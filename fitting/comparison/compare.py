@@ -23,6 +23,7 @@ from gonio.fitting.provenance import provenance
 from gonio.models import Model
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
+from gonio.wording import counted
 
 ROUGH_GROUPS = 8  # a standard error over fewer groups is rough
 EXACT = 1e-10  # residuals this small beside the values are no noise
@@ -153,7 +154,7 @@ def _checked(models: Sequence[str | Model]) -> list[Model]:
             raise ConfigurationError(f"model {name} is given twice; give it once.", value=name)
     if len(chosen) < 2:
         raise ConfigurationError(
-            f"a comparison needs two models at least and got {', '.join(names) or 'none'}; "
+            f"a comparison needs at least two models and got {', '.join(names) or 'none'}; "
             "'gonio models' lists them.",
             value=names,
         )
@@ -164,18 +165,18 @@ def _constraints(
     models: Sequence[Model], fixed: Mapping[str, float], tied: Mapping[str, str]
 ) -> dict[str, Constraints]:
     """The constraints of each model: those whose parameters it has."""
-    known = {name for model in models for name in model.names}
-    for verb, names in (("fix", fixed), ("tie", [*tied, *tied.values()])):
+    all_names = {name for model in models for name in model.names}
+    for how, names in (("fixed", fixed), ("tied", [*tied, *tied.values()])):
         for name in names:
-            if name not in known:
-                raise unknown_name(f"parameter of these models to {verb}", name, known)
-    found = {}
+            if name not in all_names:
+                raise unknown_name(f"{how} parameter", name, all_names, of="these models")
+    by_model = {}
     for model in models:
         own = set(model.names)
         values = {name: value for name, value in fixed.items() if name in own}
         ties = {name: other for name, other in tied.items() if {name, other} <= own}
-        found[model.name] = Constraints.of(model, values, ties)
-    return found
+        by_model[model.name] = Constraints.of(model, values, ties)
+    return by_model
 
 
 def _in_file_units(models: Sequence[Model], fixed: Mapping[str, float]) -> dict[str, float]:
@@ -214,17 +215,17 @@ def _notes(reference: Minimum, groups: list[predictive_scores.Index], n_loo: int
     text = f"all models are judged with the noise of {problem.name}, which fits best: {unit}."
     if not _fits_to_the_noise(reference):
         text += (
-            " Misfit counts as noise in it: scores of single samples and evidence are then too "
-            "sure, the scatter between incidences is the better guide."
+            " This noise includes the misfit: scores of single samples and the "
+            "evidence are then overconfident; the scatter between incidences is the better guide."
         )
     notes = [text]
     if len(groups) < predictive_scores.MIN_GROUPS:
         notes.append(
-            f"no held-out score: the samples have {len(groups)} groups of incidence and "
+            f"no held-out score: the samples have {counted(len(groups), 'group')} of incidence and "
             f"{predictive_scores.MIN_GROUPS} are needed; measure more incidences or widen the cuts."
         )
     elif len(groups) < ROUGH_GROUPS:
-        notes.append(f"standard errors over {len(groups)} incidences are rough.")
+        notes.append(f"standard errors over {counted(len(groups), 'incidence')} are rough.")
     if problem.samples.shared:
         shared = ", ".join(term.name for term in problem.samples.shared)
         notes.append(

@@ -12,6 +12,7 @@ from gonio.fitting.comparison.scores import (
     Judged,
 )
 from gonio.geometry import FloatArray
+from gonio.wording import listed
 
 TOLD_APART = 2.0  # standard errors of a difference
 SMALL = 4.0  # a difference of log scores below which its standard error is not to be trusted
@@ -63,7 +64,7 @@ def _score(
 
 
 def conclusion_of(entries: tuple[Entry, ...]) -> str:
-    """One sentence: which models the data cannot tell from the best."""
+    """One sentence: which models the data cannot distinguish from the best."""
     best = entries[0]
     kind: Literal["held_out", "loo"] = "loo" if best.held_out is None else "held_out"
     words = "held-out" if kind == "held_out" else "leave-one-out"
@@ -74,8 +75,8 @@ def conclusion_of(entries: tuple[Entry, ...]) -> str:
     unknown = [name for name, s in scores.items() if s is None]
     if same:
         text = (
-            f"By the {words} score the data cannot tell {best.model} from {listed(same)}: the "
-            f"difference is below {TOLD_APART:g} standard errors or below {SMALL:g}"
+            f"By the {words} score the data cannot distinguish {best.model} from {listed(same)}: "
+            f"the difference is below {TOLD_APART:g} standard errors or below {SMALL:g}"
         )
         near = [name for name in same if abs(scores[name].difference) > SMALL]
         if near and kind == "held_out":
@@ -84,7 +85,3 @@ def conclusion_of(entries: tuple[Entry, ...]) -> str:
     else:
         text = f"By the {words} score {best.model} predicts better than every other model scored"
     return text + (f"; {listed(unknown)} could not be scored." if unknown else ".")
-
-
-def listed(names: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

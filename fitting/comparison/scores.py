@@ -16,6 +16,7 @@ from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.fitting.uncertainty.covariance import Uncertainty
 from gonio.geometry import FloatArray
+from gonio.wording import counted
 
 
 @dataclass(frozen=True)
@@ -86,20 +87,20 @@ def _held_out(
     if left <= len(problem.parameters):
         notes.append(
             f"no held-out score: without the largest incidence {left} samples are left for "
-            f"{len(problem.parameters)} parameters."
+            f"{counted(len(problem.parameters), 'parameter')}."
         )
         return None
-    found = predictive_scores.held_out(minimum, groups)
-    if found.unverified:
+    score = predictive_scores.held_out(minimum, groups)
+    if score.unverified:
         notes.append(
-            f"{found.unverified} of {len(groups)} held-out fits did not reach a verified minimum."
+            f"{score.unverified} of {len(groups)} held-out fits did not reach a verified minimum."
         )
-    if found.left_out:
+    if score.left_out:
         notes.append(
-            f"the held-out score leaves out {', '.join(found.left_out)}: each has more than "
+            f"the held-out score leaves out {', '.join(score.left_out)}: each has more than "
             f"{predictive_scores.MAX_SHARED} draws."
         )
-    return found.by_group
+    return score.by_group
 
 
 def _leave_one_out(
@@ -112,7 +113,7 @@ def _leave_one_out(
     bad = int(np.count_nonzero(~(k_hat <= predictive_scores.MAX_K_HAT)))
     if bad:
         notes.append(
-            "the leave-one-out score is not to be trusted: k-hat is above "
+            "the leave-one-out score is unreliable: k-hat is above "
             f"{predictive_scores.MAX_K_HAT} for {bad} of {len(k_hat)} samples."
         )
     worst = float(np.max(k_hat))

@@ -38,8 +38,8 @@ def diagnose(minimum: Minimum) -> tuple[dict[str, Any], list[str]]:
         if bad:
             first = reports[bad[0] - 1].warnings[0]
             warnings.append(
-                f"the residuals of {len(bad)} of {len(reports)} parts are not noise, of part "
-                f"{bad[0]} first: {first}"
+                f"the residuals of {len(bad)} of {len(reports)} parts are not noise; part "
+                f"{bad[0]}: {first}"
             )
     return {"identifiability": identified.to_dict(), "residuals": residuals}, warnings
 

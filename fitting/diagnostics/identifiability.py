@@ -112,8 +112,8 @@ def identify(minimum: Minimum) -> Identifiability:
     Notes
     -----
     The scaled information is D^-1/2 J^T W J D^-1/2 with D the diagonal of J^T W J. Its eigenvectors
-    with small eigenvalues are the exchanges that the data do not see, whatever the units of the
-    parameters (Belsley, Kuh & Welsch 1980, Regression Diagnostics, ch. 3).
+    with small eigenvalues are the exchanges that the data do not determine, whatever the units of
+    the parameters (Belsley, Kuh & Welsch 1980, Regression Diagnostics, ch. 3).
 
     Examples
     --------
@@ -132,14 +132,14 @@ def identify(minimum: Minimum) -> Identifiability:
     h = optimum.curvature
     informed = np.asarray(np.diag(h) > 0)
     free = np.flatnonzero(optimum.free)
-    seen = free[informed[free]]
-    values, vectors, scale = curvature.axes(h, seen)
+    index = free[informed[free]]
+    values, vectors, scale = curvature.axes(h, index)
     missing = {int(k) for k in free if not informed[k]}
     for value, vector in zip(values, vectors.T, strict=True):
         if value < UNDETERMINED:
-            missing |= set(seen[np.abs(vector) > TAKES_PART].tolist())
-    hard = _hardly(minimum, seen, missing)
-    causes = causes_of(problem, optimum, seen, values, vectors, scale, missing, hard)
+            missing |= set(index[np.abs(vector) > TAKES_PART].tolist())
+    hard = _hardly(minimum, index, missing)
+    causes = causes_of(problem, optimum, index, values, vectors, scale, missing, hard)
     correlation, pairs = _correlation(problem, h, free, missing)
     curable = [
         k for k in sorted(missing | hard) if informed[k] or not depends_on(problem, optimum, k)
@@ -155,7 +155,7 @@ def identify(minimum: Minimum) -> Identifiability:
         bound=_bounds(minimum, free, missing),
         alone={names[k]: _alone(problem, h, int(k), noise_scale) for k in range(len(parameters))},
         axes=tuple(
-            Axis(float(max(v, 0.0)), step_along(problem, optimum, seen, vector / scale))
+            Axis(float(max(v, 0.0)), step_along(problem, optimum, index, vector / scale))
             for v, vector in zip(values, vectors.T, strict=True)
         ),
         not_identified=tuple(names[k] for k in sorted(missing)),
@@ -169,32 +169,32 @@ def identify(minimum: Minimum) -> Identifiability:
 # ---------------------------------------------------------------- information
 
 
-def _known(free: NDArray[np.int64], missing: set[int]) -> NDArray[np.int64]:
+def _determined(free: NDArray[np.int64], missing: set[int]) -> NDArray[np.int64]:
     return np.array([k for k in free if k not in missing], dtype=np.int64)
 
 
-def _hardly(minimum: Minimum, seen: NDArray[np.int64], missing: set[int]) -> set[int]:
-    """Parameters that other ones replace so well that little is known of them."""
+def _hardly(minimum: Minimum, informed: NDArray[np.int64], missing: set[int]) -> set[int]:
+    """Parameters that other ones replace so well that they are hardly determined."""
     problem, optimum, noise = minimum.problem, minimum.optimum, minimum.noise_scale
-    index = _known(seen, missing)
+    index = _determined(informed, missing)
     if len(index) == 0:
         return set()
     h = optimum.curvature
     variance = np.diag(curvature.inverse(h, index)) * noise**2
-    found = set()
+    replaceable = set()
     for k, v in zip(index.tolist(), variance, strict=True):
         q = problem.parameters[k]
         inflation = v * h[k, k] / noise**2 if noise > 0 else 0.0
         size = min(max(abs(float(optimum.p[k])), 1e-3 * (q.upper - q.lower)), q.upper - q.lower)
         if np.sqrt(v) > size and inflation > INFLATED**2:
-            found.add(k)
-    return found
+            replaceable.add(k)
+    return replaceable
 
 
 def _correlation(
     problem: Problem, h: FloatArray, free: NDArray[np.int64], missing: set[int]
 ) -> tuple[list[list[float | None]], tuple[tuple[str, str, float], ...]]:
-    index = _known(free, missing)
+    index = _determined(free, missing)
     row_of = {int(k): n for n, k in enumerate(index)}
     r = np.eye(0)
     if len(index):
@@ -224,14 +224,14 @@ def _bounds(
     """Cramer and Rao's bound; None without information or noise, and at a bound."""
     problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     bounds: dict[str, float | None] = {q.name: None for q in problem.parameters}
-    index = _known(free, missing)
+    index = _determined(free, missing)
     if noise_scale <= 0 or len(index) == 0 or len(problem.pieces()) > 1:
         return bounds
     # Shared errors are marginalised here, none is profiled. Of many samples some stand for all,
     # each with the information of several.
     some = thinned(problem.independent, MOST)
-    found = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
-    for k, v in zip(index.tolist(), np.diag(curvature.inverse(found, index)), strict=True):
+    of_part = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
+    for k, v in zip(index.tolist(), np.diag(curvature.inverse(of_part, index)), strict=True):
         q = problem.parameters[k]
         bounds[q.name] = q.to_file(float(np.sqrt(v))) if v > 0 else None
     return bounds

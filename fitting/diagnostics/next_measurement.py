@@ -58,7 +58,7 @@ class SuggestedMeasurement:
 
 
 def suggest_measurement(minimum: Minimum, wanted: list[int]) -> SuggestedMeasurement | None:
-    """The best single measurement for the wanted parameters; None if none tells of them all.
+    """The best single measurement for the wanted parameters; None if none determines them all.
 
     Parameters
     ----------
@@ -86,28 +86,30 @@ def suggest_measurement(minimum: Minimum, wanted: list[int]) -> SuggestedMeasure
     for k, (start, n) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
         rows = jacobian[start : start + n] / u[start : start + n, None]
         # As many directions for each, also where part of a pattern lies below the horizon.
-        found = _standard(now + rows.T @ rows * (N / n), free)
+        reached = _standard(now + rows.T @ rows * (N / n), free)
         size = np.maximum(np.abs(optimum.p), 1e-12)
-        merit = float(np.sum(np.where(np.isfinite(found), np.log(found / size), _MISSING)[wanted]))
+        merit = float(
+            np.sum(np.where(np.isfinite(reached), np.log(reached / size), _MISSING)[wanted])
+        )
         if best is None or merit < best[0] - AS_GOOD * len(wanted):
-            best = (merit, k, found)
+            best = (merit, k, reached)
     if best is None or not np.all(np.isfinite(best[2][wanted])):
         return None
-    return _suggestion(problem, kinds[best[1]], best[2], wanted, known=noise_scale > 0)
+    return _suggestion(problem, kinds[best[1]], best[2], wanted, noise_known=noise_scale > 0)
 
 
 def _suggestion(
     problem: Problem,
     kind: tuple[float, float, str],
-    found: FloatArray,
+    uncertainties: FloatArray,
     wanted: list[int],
     *,
-    known: bool,
+    noise_known: bool,
 ) -> SuggestedMeasurement:
     theta_i, rotation, pattern = kind
     expected = {
-        q.name: q.to_file(float(u)) if known and np.isfinite(u) else None
-        for q, u in zip(problem.parameters, found, strict=True)
+        q.name: q.to_file(float(u)) if noise_known and np.isfinite(u) else None
+        for q, u in zip(problem.parameters, uncertainties, strict=True)
     }
     turned = f" with the sample turned by {np.degrees(rotation):.0f} deg" if rotation else ""
     text = f"Measure {PATTERNS[pattern]} at theta_i = {np.degrees(theta_i):.0f} deg{turned}"
@@ -174,14 +176,14 @@ def _noise(problem: Problem, p: FloatArray, f: FloatArray, noise_scale: float) -
 
 def _standard(information: FloatArray, free: np.ndarray) -> FloatArray:
     """Standard uncertainties (P,); infinite where there is no information."""
-    found = np.full(len(information), np.inf)
+    u = np.full(len(information), np.inf)
     index = free[np.diag(information)[free] > 0]
     values, vectors, scale = axes(information, index)
     # A direction without information makes its parameters unknown.
     share = vectors**2 / np.maximum(values, 1e-300)
     lost = np.any((values < UNDETERMINED) & (np.abs(vectors) > TAKES_PART), axis=1)
-    found[index] = np.where(lost, np.inf, np.sqrt(share.sum(axis=1)) / scale)
-    return found
+    u[index] = np.where(lost, np.inf, np.sqrt(share.sum(axis=1)) / scale)
+    return u
 
 
 def facts(problem: Problem) -> list[str]:

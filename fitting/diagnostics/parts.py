@@ -49,12 +49,12 @@ def _part_fits(
     scale: float,
 ) -> tuple[PartFit, ...]:
     """What the fit says of each part."""
-    found = []
+    fits = []
     own = [q.name != base_name(q.name) for q in problem.parameters]
     pieces = zip(problem.pieces(), problem.scales, channels, alone, strict=True)
     for k, ((part, _, index), factor, channel, pairs) in enumerate(pieces):
         n_own = sum(int(own[j] and optimum.free[j]) for j in index)
-        found.append(
+        fits.append(
             PartFit(
                 name=channel.label,
                 parameters=problem.names_of_part(k),
@@ -68,7 +68,7 @@ def _part_fits(
                 input=channel.material or None,
             )
         )
-    return tuple(found)
+    return tuple(fits)
 
 
 def _chi2(part: Problem, p: FloatArray, factor: float) -> float:
@@ -87,9 +87,10 @@ def _misfits(problem: JointProblem, parts: Sequence[PartFit]) -> list[str]:
     where = ", ".join(part.name for part in bad[:LISTED])
     where += f" and {len(bad) - LISTED} more" if len(bad) > LISTED else ""
     return [
-        f"chi2/dof is {_range([part.chi2 / part.dof for part in bad])} in {where}: the model or "
-        "effects it does not hold, not the noise, make the residuals; the independent "
-        f"uncertainties there were multiplied by {_range([part.noise_scale for part in bad])}."
+        f"chi2/dof is {_range([part.chi2 / part.dof for part in bad])} in {where}: the "
+        "residuals come from the model, or from effects that it leaves out, not from noise; the "
+        f"independent uncertainties there were multiplied by "
+        f"{_range([part.noise_scale for part in bad])}."
     ]
 
 
@@ -100,8 +101,8 @@ def _refusal(
         return []
     chance = f"p = {test.p_value:.2g}" if test.p_value > TINY else f"p < {TINY:g}"
     return [
-        f"the data refuse one {' and one '.join(test.parameters)} for all: chi2 grows by "
-        f"{test.growth:.4g} over separate fits, of which noise explains {test.dof} or so "
+        f"the data reject one {' and one '.join(test.parameters)} for all parts: chi2 grows by "
+        f"{test.growth:.4g} over separate fits, of which noise explains about {test.dof} "
         f"({chance}). {_farthest(problem, optimum, parts)}"
     ]
 
@@ -111,9 +112,9 @@ def _correlation_warning(problem: JointProblem, optimum: Optimum) -> list[str]:
     if r is None:
         return []
     return [
-        f"the residuals of the parts are alike (correlation {mean_correlation(r):.2g} at the same "
-        "directions): the model lacks the same in all of them. The standard uncertainties count "
-        "that once; the test of the sharing, limits at bounds and a posterior do not."
+        f"the residuals of the parts are correlated (correlation {mean_correlation(r):.2g} at the "
+        "same directions): the model has the same error in all of them. The standard uncertainties "
+        "allow for it; the test of the sharing, limits at bounds and a posterior do not."
     ]
 
 
@@ -132,9 +133,9 @@ def _farthest(problem: JointProblem, optimum: Optimum, parts: Sequence[PartFit])
                 distance = abs(alone - float(value)) / sd
                 unit = f" {q.file_unit}" if q.file_unit else ""
                 text = (
-                    f"Farthest is {part.name}: {q.name} alone {q.to_file(alone):.4g} +/- "
+                    f"The farthest is {part.name}: {q.name} alone is {q.to_file(alone):.4g} +/- "
                     f"{q.to_file(sd):.2g}{unit}, "
-                    f"together {q.to_file(float(value)):.4g}{unit}."
+                    f"together it is {q.to_file(float(value)):.4g}{unit}."
                 )
                 worst = max(worst, (distance, text))
     return worst[1]

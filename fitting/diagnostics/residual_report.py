@@ -1,4 +1,4 @@
-"""Goodness of fit with the noise model: is what is left over noise, and if not, where it lives.
+"""Goodness of fit with the noise model: where the residuals are more than noise.
 
 Residuals are divided by their standard uncertainties (z) and whatever the parameters or the shared
 errors could do is projected out of them. Groups of samples (cells of the viewing hemisphere about
@@ -44,11 +44,11 @@ from gonio.fitting.result import plain
 ALARM = 0.01  # share of right models in which structure is reported
 MOST = 20_000  # samples that are examined: enough for any structure that matters
 DOMINATES = 0.5  # share of the residual variance above which the model makes the residuals
-PLACES = 3  # that are reported
+MOST_GROUPS = 3  # that are reported
 
 
 @dataclass(frozen=True)
-class Place:
+class GroupResidual:
     """Mean residual of a group of samples.
 
     Parameters
@@ -103,9 +103,9 @@ class ResidualReport:
         uncertainties that count on noise may be too small. 1 where no structure was found.
     covered : bool
         Whether that error is smaller than the stated errors that samples share.
-    places : tuple of Place
+    largest : tuple of GroupResidual
         The groups that stand out, clearest first.
-    maps : mapping of str to list of Place
+    maps : mapping of str to list of GroupResidual
         All groups about the mirror direction and all cells of the hemisphere.
     """
 
@@ -121,8 +121,8 @@ class ResidualReport:
     model_error: float | None
     noise_ratio: float
     covered: bool
-    places: tuple[Place, ...]
-    maps: Mapping[str, list[Place]]
+    largest: tuple[GroupResidual, ...]
+    maps: Mapping[str, list[GroupResidual]]
 
     @property
     def structured(self) -> bool:
@@ -131,7 +131,9 @@ class ResidualReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a JSON document."""
-        return {**plain(self), "structured": self.structured, "line": self.line}
+        # Files call the largest residuals "places" since version 0.1.
+        fields = {"places" if k == "largest" else k: v for k, v in plain(self).items()}
+        return {**fields, "structured": self.structured, "line": self.line}
 
     @property
     def line(self) -> str:
@@ -151,10 +153,10 @@ class ResidualReport:
         """What a reader must know; nothing where noise explains the residuals."""
         sentences = []
         if self.structured and not self.covered:
-            where = "; ".join(_said(place) for place in self.places)
-            cause = "the model, not the noise, dominates: its error makes"
+            where = "; ".join(_in_words(group) for group in self.largest)
+            cause = "the model, not the noise, dominates: its error makes up"
             if self.model_share < DOMINATES:
-                cause = "the model does not hold everywhere: its error makes"
+                cause = "the model does not hold everywhere: its error makes up"
             sentences.append(
                 f"{cause} {100 * self.model_share:.0f} % of the residual variance (structure of "
                 f"the residuals, {_p(self.p_structure)})"
@@ -204,36 +206,36 @@ def examine(minimum: Minimum) -> ResidualReport:
     """
     problem, optimum = thinned(minimum.problem, MOST), minimum.optimum
     f, jacobian = problem.jacobian(optimum.p)
-    seen = optimum.free & (np.diag(optimum.curvature) > 0)
-    base = Base(problem, f, jacobian[:, seen], shared_columns(problem, optimum.p, f))
+    informed = optimum.free & (np.diag(optimum.curvature) > 0)
+    base = Base(problem, f, jacobian[:, informed], shared_columns(problem, optimum.p, f))
     left = Whitened.of(base)
     chi2 = dof = p_chi2 = verdict = None
-    known = problem.weights == "sd"
-    if known:
+    known_noise = problem.weights == "sd"
+    if known_noise:
         chi2, dof, p_chi2, verdict = chi_squared_test(base)
     tests: list[Test] = []
     groupings = groupings_of(problem) if left is not None else {}
     for name, grouping in groupings.items():
         assert left is not None
-        found = group_test(left, name, grouping)
-        if found is not None:
-            tests.append(found)
+        compared = group_test(left, name, grouping)
+        if compared is not None:
+            tests.append(compared)
     if left is not None:
         neighbours = neighbour_test(problem, left)
         if neighbours is not None:
             tests.append(neighbours)
     p = min(1.0, max(len(tests), 1) * min((test.p_value for test in tests), default=1.0))
-    share, ratio, places = 0.0, 1.0, []
+    share, ratio, largest = 0.0, 1.0, []
     if left is not None and p < ALARM:
-        telling = [test for test in tests if test.p_value * len(tests) < ALARM]
-        share = max(test.share for test in telling)
+        significant = [test for test in tests if test.p_value * len(tests) < ALARM]
+        share = max(test.share for test in significant)
         if chi2 is not None and dof is not None and chi2 > dof:
             share = max(share, 1 - dof / chi2)
-        telling = [test for test in telling if test.name != NEIGHBOURING]
-        ratio = max((float(np.sqrt(test.statistic)) for test in telling), default=1.0)
-        places = _places(left, groupings, telling)
+        significant = [test for test in significant if test.name != NEIGHBOURING]
+        ratio = max((float(np.sqrt(test.statistic)) for test in significant), default=1.0)
+        largest = _largest(left, groupings, significant)
     maps = {
-        name: _all_places(left, groupings[name])
+        name: _group_residuals(left, groupings[name])
         for name in MAPPED
         if left is not None and name in groupings
     }
@@ -242,24 +244,12 @@ def examine(minimum: Minimum) -> ResidualReport:
         error = float(np.sqrt(share * left.variance) / left.mean)
     covered = left is not None and share * float(np.mean(left.z**2)) < left.stated
     return ResidualReport(
-        known, problem.n, chi2, dof, p_chi2, verdict, tuple(tests), p, share, error,
-        max(ratio, 1.0),        covered, tuple(places), maps,
+        known_noise, problem.n, chi2, dof, p_chi2, verdict, tuple(tests), p, share, error,
+        max(ratio, 1.0), covered, tuple(largest), maps,
     )  # fmt: skip
 
 
-# ---------------------------------------------------------------- what is left
-
-
-# ---------------------------------------------------------------- groups of samples
-
-
-# ---------------------------------------------------------------- tests
-
-
-# ---------------------------------------------------------------- where it lives
-
-
-def _all_places(left: Whitened, grouping: Grouping) -> list[Place]:
+def _group_residuals(left: Whitened, grouping: Grouping) -> list[GroupResidual]:
     """Every group with its mean residual, in the order of the grouping."""
     inside = grouping.group >= 0
     k = len(grouping.words)
@@ -271,7 +261,7 @@ def _all_places(left: Whitened, grouping: Grouping) -> list[Place]:
     above = np.bincount(number, weights=weight * left.residual[inside], minlength=k)
     below = np.bincount(number, weights=weight * left.f[inside], minlength=k)
     return [
-        Place(
+        GroupResidual(
             grouping.words[g],
             grouping.theta_i_deg[g],
             int(counts[g]),
@@ -282,24 +272,26 @@ def _all_places(left: Whitened, grouping: Grouping) -> list[Place]:
     ]
 
 
-def _places(left: Whitened, groupings: Mapping[str, Grouping], telling: list[Test]) -> list[Place]:
+def _largest(
+    left: Whitened, groupings: Mapping[str, Grouping], significant: list[Test]
+) -> list[GroupResidual]:
     """The groups that stand out most in the test that sees most of the structure."""
-    if not telling:
+    if not significant:
         return []
-    best = max(telling, key=lambda test: test.share)
-    found = _all_places(left, groupings[best.name])
-    found.sort(key=lambda place: -abs(place.z))
-    return [place for place in found[:PLACES] if abs(place.z) > 3]
+    best = max(significant, key=lambda test: test.share)
+    groups = _group_residuals(left, groupings[best.name])
+    groups.sort(key=lambda group: -abs(group.z))
+    return [group for group in groups[:MOST_GROUPS] if abs(group.z) > 3]
 
 
-def _said(place: Place) -> str:
-    """A place as part of a sentence."""
-    side = "low" if place.z > 0 else "high"
+def _in_words(group: GroupResidual) -> str:
+    """A group as part of a sentence."""
+    side = "low" if group.z > 0 else "high"
     by = ""
-    if place.relative is not None:
-        by = f" by {100 * abs(place.relative):.2g} %"
-    at = "" if place.theta_i_deg is None else f"at theta_i = {place.theta_i_deg:.0f} deg"
-    where = " ".join(part for part in (place.where, at) if part)
+    if group.relative is not None:
+        by = f" by {100 * abs(group.relative):.2g} %"
+    at = "" if group.theta_i_deg is None else f"at theta_i = {group.theta_i_deg:.0f} deg"
+    where = " ".join(part for part in (group.where, at) if part)
     return f"too {side}{by} {where}"
 
 

@@ -36,12 +36,12 @@ def axes(h: FloatArray, index: NDArray[np.int64]) -> tuple[FloatArray, FloatArra
 
 def determined(h: FloatArray, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Parameters among these that take no part in a direction without information."""
-    known = np.asarray(among & (np.diag(h) > 0))
-    index = np.flatnonzero(known)
+    is_determined = np.asarray(among & (np.diag(h) > 0))
+    index = np.flatnonzero(is_determined)
     values, vectors, _ = axes(h, index)
     for vector in vectors.T[values < UNDETERMINED]:
-        known[index[np.abs(vector) > TAKES_PART]] = False
-    return known
+        is_determined[index[np.abs(vector) > TAKES_PART]] = False
+    return is_determined
 
 
 def inverse(h: FloatArray, index: NDArray[np.int64]) -> FloatArray:
@@ -54,19 +54,19 @@ def inverse(h: FloatArray, index: NDArray[np.int64]) -> FloatArray:
 
 def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
     """Which free parameters the data determine, and the inverse curvature of these, (P, P)."""
-    known = determined(optimum.curvature, optimum.free)
-    index = np.flatnonzero(known)
+    is_determined = determined(optimum.curvature, optimum.free)
+    index = np.flatnonzero(is_determined)
     n_p = len(optimum.p)
-    found = np.zeros((n_p, n_p))
+    covariance = np.zeros((n_p, n_p))
     if len(index):
         scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
         scaled = optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
         # Along a sum that is held at its limit the parameters can move, but not away from it.
         along = within_sum(scale * np.isin(index, optimum.limited))
         inside = along @ np.linalg.inv(along.T @ scaled @ along) @ along.T
-        found[np.ix_(index, index)] = inside * np.outer(scale, scale)
-    known[list(optimum.limited)] = False
-    return known, found
+        covariance[np.ix_(index, index)] = inside * np.outer(scale, scale)
+    is_determined[list(optimum.limited)] = False
+    return is_determined, covariance
 
 
 def within_sum(c: FloatArray) -> FloatArray:

@@ -53,20 +53,20 @@ def _find(
     problem: Problem, start: Mapping[str, float] | None, engine: Engine | None
 ) -> tuple[Problem, Optimum, list[str]]:
     """The deepest minimum found, the problem with its weights, and what to know about it."""
-    found = minima(problem, engine)
+    candidates = minima(problem, engine)
     warnings = []
     if start is not None:
         given = minimise(problem, problem.vector(start), engine=engine)
-        if better(given, found[0]) is given:
-            found = [given]
+        if better(given, candidates[0]) is given:
+            candidates = [given]
         elif given.verified:
             warnings.append(
                 f"the start led to another minimum, at {parameter_text(problem, given)}, "
-                f"where chi2 is {given.chi2 / max(found[0].chi2, 1e-300):.3g} times that of the "
-                "minimum that was taken."
+                f"where chi2 is {given.chi2 / max(candidates[0].chi2, 1e-300):.3g} times that of "
+                "the minimum that was taken."
             )
-    problem, optimum = reweighted_minimum(problem, found[0])
-    for other in found[1:]:
+    problem, optimum = reweighted_minimum(problem, candidates[0])
+    for other in candidates[1:]:
         if problem.weights_follow_model:
             other = minimise(problem, other.p, search=False)
         deepest = better(optimum, other)

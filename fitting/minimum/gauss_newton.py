@@ -181,9 +181,9 @@ def _deeper_nearby(state: _State, optimum: Optimum) -> tuple[FloatArray | None, 
     scaled = h[np.ix_(index, index)] * np.outer(scale, scale)
     along = within_sum(scale * box.c[index]) if optimum.limited else np.eye(len(index))
     values, vectors = np.linalg.eigh(along.T @ scaled @ along)
-    known = values >= UNDETERMINED
-    steps = (0.5 * state.noise * scale)[:, None] * (along @ vectors[:, known])
-    steps = steps / np.sqrt(values[known])
+    is_determined = values >= UNDETERMINED
+    steps = (0.5 * state.noise * scale)[:, None] * (along @ vectors[:, is_determined])
+    steps = steps / np.sqrt(values[is_determined])
     trials = np.repeat(optimum.p[None], 2 * steps.shape[1], axis=0)
     trials[:, index] += np.concatenate([steps.T, -steps.T])
     trials = np.array([box.inside(trial) for trial in trials])

@@ -113,11 +113,11 @@ def _check(channels: Sequence[Channel], weights: Weights | None) -> None:
             "the samples are of one channel: there is nothing to share; leave 'share' out, or give "
             "samples of several channels, wavelengths or materials."
         )
-    known = [channel.samples.u_independent is not None for channel in channels]
-    if weights is None and any(known) and not all(known):
+    has_u = [channel.samples.u_independent is not None for channel in channels]
+    if weights is None and any(has_u) and not all(has_u):
         raise ConfigurationError(
-            f"{channels[known.index(False)].label} has no uncertainties and "
-            f"{channels[known.index(True)].label} has; give u_brdf for all, or name the weights: "
+            f"{channels[has_u.index(False)].label} has no uncertainties and "
+            f"{channels[has_u.index(True)].label} has; give u_brdf for all, or name the weights: "
             "none, cos or coscos."
         )
 
@@ -129,14 +129,14 @@ def _alone(
     options: Mapping[str, Any],
 ) -> list[Minimum]:
     """The minimum of every part by itself; the options are those of `find_minimum`."""
-    found = []
+    minima = []
     for channel in channels:
         own = None if start is None else _start_of(channel.label, model, start)
         try:
-            found.append(find_minimum(channel.samples, model, start=own, **options))
+            minima.append(find_minimum(channel.samples, model, start=own, **options))
         except DataError as error:
             raise DataError(f"{channel.label}: {error}", value=error.value) from None
-    return found
+    return minima
 
 
 def _start_of(label: str, model: Model, start: Mapping[str, float]) -> dict[str, float]:

@@ -63,12 +63,12 @@ def _agreed(problem: JointProblem, alone: Sequence[Minimum]) -> FloatArray:
         h[np.ix_(columns, columns)] += own
         g[columns] += own @ minimum.optimum.p
         fallback[columns] = minimum.optimum.p
-    known = np.diag(h) > 0
-    unit = np.where(known, 1 / np.sqrt(np.where(known, np.diag(h), 1.0)), 0.0)
+    informed = np.diag(h) > 0
+    unit = np.where(informed, 1 / np.sqrt(np.where(informed, np.diag(h), 1.0)), 0.0)
     mean = unit * (np.linalg.pinv(h * np.outer(unit, unit), rcond=UNDETERMINED) @ (unit * g))
     lower = np.array([q.lower for q in problem.parameters])
     upper = np.array([q.upper for q in problem.parameters])
-    return np.clip(np.where(known, mean, fallback), lower, upper)
+    return np.clip(np.where(informed, mean, fallback), lower, upper)
 
 
 def _grid(q: Parameter, n: int) -> FloatArray:

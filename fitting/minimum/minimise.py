@@ -83,7 +83,7 @@ def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
             evaluations += n
         ends.append(_marquardt(first if engine is None else problem, point))
     ends.sort(key=lambda end: end.chi2)
-    found: list[Optimum] = []
+    optima: list[Optimum] = []
     kept: list[_State] = []
     for end in ends:
         evaluations += end.evaluations
@@ -92,12 +92,12 @@ def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
         if first is not problem and kept and end.chi2 > FAR * kept[0].chi2:
             continue
         kept.append(end)
-        found.append(_polish(problem, end.p if end.problem is not problem else end, evaluations))
+        optima.append(_polish(problem, end.p if end.problem is not problem else end, evaluations))
         evaluations = 0
-    best = found[0]
-    for other in found[1:]:
+    best = optima[0]
+    for other in optima[1:]:
         best = better(best, other)
-    return [best, *(other for other in found if other is not best)]
+    return [best, *(other for other in optima if other is not best)]
 
 
 def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:

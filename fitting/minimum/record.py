@@ -62,8 +62,8 @@ class Minimum:
         faults: Sequence[str] = (),
     ) -> Minimum:
         """The minimum with its goodness; the noise scale is found where it is not given."""
-        chi2, dof, found = goodness(problem, optimum)
-        scale = found if noise_scale is None else noise_scale
+        chi2, dof, estimated = goodness(problem, optimum)
+        scale = estimated if noise_scale is None else noise_scale
         return cls(problem, optimum, scale, chi2, dof, list(warnings), list(faults))
 
     def at(self, problem: Problem, optimum: Optimum) -> Minimum:
@@ -85,8 +85,8 @@ def goodness(problem: Problem, optimum: Optimum) -> tuple[float, int, float]:
     """
     dof = problem.n - int(np.count_nonzero(optimum.free))
     if not problem.quadratic:
-        known = problem.law.likelihood
-        return optimum.chi2, dof, 1.0 if known else float(np.sqrt(optimum.chi2 / dof))
+        is_likelihood = problem.law.likelihood
+        return optimum.chi2, dof, 1.0 if is_likelihood else float(np.sqrt(optimum.chi2 / dof))
     if problem.weights == "sd":
         f = problem.values(optimum.p)
         residual = problem.samples.value - f

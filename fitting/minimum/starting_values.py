@@ -105,7 +105,7 @@ def _lobe_by_lobe(
     for k in order:
         off.upper[linear[k]] = box.lower[linear[k]]
     beam = base[None].copy()
-    seen = [beam]
+    beams = [beam]
     for turn, k in enumerate([*order, *order]):
         off.upper[linear[k]] = box.upper[linear[k]]
         most = TURN // (BEAM if turn < len(order) else 2)
@@ -115,8 +115,8 @@ def _lobe_by_lobe(
         chi2, solved = scored(few, off, tried)
         best = _distinct(chi2, solved, BEAM)
         beam = np.array(best)
-        seen.append(beam)
-    return np.concatenate(seen[-2:])
+        beams.append(beam)
+    return np.concatenate(beams[-2:])
 
 
 def _distinct(chi2: FloatArray, points: FloatArray, n: int) -> list[FloatArray]:

@@ -23,7 +23,7 @@ NO_DEEPER = 1e-3  # of the noise squared: as deep, but for rounding
 
 
 def sampled(
-    found: Minimum,
+    minimum: Minimum,
     priors: Mapping[str, str | Prior] | None,
     *,
     seed: int,
@@ -37,37 +37,37 @@ def sampled(
     DataError
         Where there is no noise.
     """
-    if found.noise_scale == 0:
+    if minimum.noise_scale == 0:
         raise DataError(
             "the model leaves no residuals and the samples state no uncertainty: there is no "
             "noise to sample a posterior with; give u_brdf or fit without a posterior."
         )
-    believed = resolve(found.problem.parameters, priors)
+    believed = resolve(minimum.problem.parameters, priors)
     for _ in range(RESTARTS + 1):
-        errors, _ = uncertainties(found)
+        errors, _ = uncertainties(minimum)
         chain = posteriors.sample(
-            found, errors, seed=seed, sampler=sampler, priors=believed, progress=progress
+            minimum, errors, seed=seed, sampler=sampler, priors=believed, progress=progress
         )
-        deeper = _deeper_by_draws(found, chain)
+        deeper = _deeper_by_draws(minimum, chain)
         if deeper is None:
             break
-        found = deeper
+        minimum = deeper
         if not deeper.optimum.verified:
             break
-    return found, chain
+    return minimum, chain
 
 
-def _deeper_by_draws(found: Minimum, chain: Chain) -> Minimum | None:
+def _deeper_by_draws(minimum: Minimum, chain: Chain) -> Minimum | None:
     """The minimum below the best draw where it is deeper; unverified where it cannot be taken."""
     best = chain.draws.reshape(-1, chain.draws.shape[-1])[int(np.argmax(chain.log_density))]
-    problem, optimum = found.problem, found.optimum
+    problem, optimum = minimum.problem, minimum.optimum
     other = minimise(problem, best, search=False)
-    if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * found.noise_scale**2:
+    if not other.verified or optimum.chi2 - other.chi2 <= NO_DEEPER * minimum.noise_scale**2:
         return None
-    if found.parts or problem.profiled:
+    if minimum.parts or problem.profiled:
         warning = "the posterior holds a deeper minimum, which the search did not find."
         return replace(
-            found, optimum=replace(optimum, verified=False), warnings=[*found.warnings, warning]
+            minimum, optimum=replace(optimum, verified=False), warnings=[*minimum.warnings, warning]
         )
     problem, other = reweighted_minimum(problem, other)
     warning = (

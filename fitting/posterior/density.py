@@ -95,14 +95,14 @@ class Target(ABC):
         sums = np.zeros((len(x), self.n_sums))
         if inside.any():
             p = self.parameters(x[inside])
-            found = self.sums(p)
+            inside_sums = self.sums(p)
             possible = (p[:, self.limited] * self.limit).sum(axis=1) <= 1
-            value = self._log_integral(found)
+            value = self._log_integral(inside_sums)
             value += np.sum(x[inside][:, self.log], axis=1)  # dp = p dx
             for j in self.sampled:
                 value += self.priors[j].log_density(p[:, j])
             density[inside] = np.where(np.isfinite(value) & possible, value, -np.inf)
-            sums[inside] = found
+            sums[inside] = inside_sums
         return density, sums
 
     @abstractmethod

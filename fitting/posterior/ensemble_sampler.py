@@ -88,16 +88,16 @@ def _start(
     target: Target, mode: FloatArray, root: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Walkers scattered about the mode, mirrored at the bounds."""
-    places = mode + rng.standard_normal((_walkers(len(mode)), len(mode))) @ root.T
+    walkers = mode + rng.standard_normal((_walkers(len(mode)), len(mode))) @ root.T
     lower, upper = target.x_lower, target.x_upper
-    places = np.where(places < lower, 2 * lower - places, places)
-    places = np.where(places > upper, 2 * upper - places, places)
+    walkers = np.where(walkers < lower, 2 * lower - walkers, walkers)
+    walkers = np.where(walkers > upper, 2 * upper - walkers, walkers)
     # A place mirrored beyond the other bound is drawn anywhere between them.
-    anywhere = lower + (upper - lower) * rng.random(places.shape)
-    places = np.where((places < lower) | (places > upper), anywhere, places)
+    anywhere = lower + (upper - lower) * rng.random(walkers.shape)
+    walkers = np.where((walkers < lower) | (walkers > upper), anywhere, walkers)
     limited = np.isin(target.sampled, target.limited)
     if limited.any():
         # A walker that starts where nothing is allowed has no density to go on from.
-        total = (places[:, limited] * target.limit).sum(axis=1, keepdims=True)
-        places[:, limited] /= np.where(total > 1, total * (1 + 0.01 * rng.random(total.shape)), 1)
-    return places
+        total = (walkers[:, limited] * target.limit).sum(axis=1, keepdims=True)
+        walkers[:, limited] /= np.where(total > 1, total * (1 + 0.01 * rng.random(total.shape)), 1)
+    return walkers

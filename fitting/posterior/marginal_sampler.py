@@ -75,30 +75,30 @@ def sample(target: Target, covariance: FloatArray, rng: np.random.Generator) -> 
     if len(target.sampled) == 0:
         return _amplitudes_alone(target, rng)
     proposal, evidence = pilot(target, covariance, rng)
-    proposal, seen, state = _adapted(target, proposal, STEPS, rng)
+    proposal, proposed, state = _adapted(target, proposal, STEPS, rng)
     while True:
-        k = convergence.k_hat(seen.log_weight)
+        k = convergence.k_hat(proposed.log_weight)
         acceptance = _acceptance(state)
-        refusal = _doubt(k, acceptance, _disagreement(seen.log_weight, evidence))
+        refusal = _doubt(k, acceptance, _disagreement(proposed.log_weight, evidence))
         if refusal:
             nothing = Convergence(np.inf, np.inf, 0.0, 0.0, 0)
             none = np.empty((0, 0))
             return MarginalRun(none[None], none, nothing, acceptance, k, refusal, proposal)
-        drawn = target.draw(seen.x[state.ravel()], seen.sums[state.ravel()], rng)
+        drawn = target.draw(proposed.x[state.ravel()], proposed.sums[state.ravel()], rng)
         drawn = drawn.reshape(*state.shape, -1)
         measures = convergence.measure(drawn)
-        error = _spread_error(target, seen, rng)
+        error = _spread_error(target, proposed, rng)
         done = measures.converged and error <= SPREAD_ERROR
-        if done or 2 * len(seen.x) > MAX_PROPOSALS:
+        if done or 2 * len(proposed.x) > MAX_PROPOSALS:
             if not measures.converged:
                 refusal = "its chains did not converge"
             elif not done:
                 refusal = f"a standard deviation rests on few far draws ({100 * error:.0f} %)"
             return MarginalRun(
-                drawn, seen.density[state], measures, acceptance, k, refusal, proposal
+                drawn, proposed.density[state], measures, acceptance, k, refusal, proposal
             )
-        seen = seen.joined(proposal.weighted(target, len(seen.x), rng))
-        state = _chains(seen.log_weight, rng)
+        proposed = proposed.joined(proposal.weighted(target, len(proposed.x), rng))
+        state = _chains(proposed.log_weight, rng)
 
 
 def explored(target: Target, covariance: FloatArray, rng: np.random.Generator) -> Proposal:
@@ -112,16 +112,16 @@ def _adapted(
 ) -> tuple[Proposal, Weighted, NDArray[np.int64]]:
     """A proposal of which enough draws are accepted, with its draws and chains of them."""
     for refit in range(REFITS + 1):
-        seen = proposal.weighted(target, CHAINS * steps, rng)
-        state = _chains(seen.log_weight, rng)
-        light = convergence.k_hat(seen.log_weight) <= GOOD_K_HAT
+        proposed = proposal.weighted(target, CHAINS * steps, rng)
+        state = _chains(proposed.log_weight, rng)
+        light = convergence.k_hat(proposed.log_weight) <= GOOD_K_HAT
         enough = GOOD_ACCEPTANCE - PER_DIMENSION * max(len(target.sampled) - 2, 0)
         good = light and _acceptance(state) >= enough
-        better = None if good or refit == REFITS else fitted(target, seen, rng)
+        better = None if good or refit == REFITS else fitted(target, proposed, rng)
         if better is None:
             break
         proposal = better
-    return proposal, seen, state
+    return proposal, proposed, state
 
 
 def _amplitudes_alone(target: Target, rng: np.random.Generator) -> MarginalRun:
@@ -157,12 +157,12 @@ def _chains(log_weight: FloatArray, rng: np.random.Generator) -> NDArray[np.int6
     for c in range(CHAINS):
         share = np.exp(rows[c] - max(float(rows[c].max()), -1e300))
         at = min(int(np.searchsorted(np.cumsum(share), starts[c] * share.sum())), n - 1)
-        row, limit, places = rows[c].tolist(), limits[c].tolist(), []
+        row, limit, states = rows[c].tolist(), limits[c].tolist(), []
         for k in range(n):
             if row[k] - row[at] >= limit[k]:
                 at = k
-            places.append(at)
-        state[c] = places
+            states.append(at)
+        state[c] = states
         state[c] += c * n
     return state
 
@@ -173,16 +173,16 @@ def _acceptance(state: NDArray[np.int64]) -> float:
     return float(np.mean(state == np.arange(state.size).reshape(-1, n)))
 
 
-def _spread_error(target: Target, seen: Weighted, rng: np.random.Generator) -> float:
+def _spread_error(target: Target, proposed: Weighted, rng: np.random.Generator) -> float:
     """Largest standard error of a standard deviation, relative to it.
 
     A thousandth of the mass far away may be most of the variance; it then hangs on few draws,
     whose weights need not be large.
     """
-    weight = seen.weight
+    weight = proposed.weight
     kept = weight > 0
     weight = weight[kept]
-    p = target.draw(seen.x[kept], seen.sums[kept], rng)
+    p = target.draw(proposed.x[kept], proposed.sums[kept], rng)
     square = (p - weight @ p) ** 2
     variance = weight @ square
     error = np.sqrt(np.sum((weight[:, None] * (square - variance)) ** 2, axis=0))

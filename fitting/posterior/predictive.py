@@ -40,8 +40,8 @@ def predict(
     result = np.empty((len(draws), problem.n))
     for row, p in zip(result, draws, strict=True):
         f = problem.values(p)
-        known = problem.weights == "sd"
-        variance = problem.variance(f) if known else 1 / problem.inverse_variance
+        noise_known = problem.weights == "sd"
+        variance = problem.variance(f) if noise_known else 1 / problem.inverse_variance
         row[:] = f + scale * np.sqrt(variance) * rng.standard_normal(problem.n)
     return result
 

@@ -93,15 +93,15 @@ def parse(q: Parameter, text: str) -> Prior:
     ConfigurationError
         If the text is none of the forms, or its numbers make no sense for the parameter.
     """
-    found = re.fullmatch(r"\s*([a-z_]+)\s*(?:\(([^()]*)\))?\s*", text)
-    kind = found.group(1) if found else ""
-    if found is None or kind not in get_args(Kind):
+    match = re.fullmatch(r"\s*([a-z_]+)\s*(?:\(([^()]*)\))?\s*", text)
+    kind = match.group(1) if match else ""
+    if match is None or kind not in get_args(Kind):
         raise ConfigurationError(
             f"the prior {text!r} of {q.name} is not understood; allowed are {FORMS}.", value=text
         )
     names = NUMBERS[kind]
-    items = [item for item in (found.group(2) or "").split(",") if item.strip() or names]
-    items = items if found.group(2) is not None else []
+    items = [item for item in (match.group(2) or "").split(",") if item.strip() or names]
+    items = items if match.group(2) is not None else []
     numbers = [_number(item) for item in items]
     if len(numbers) != len(names) or None in numbers:
         wanted = " and ".join(names) or "no number"
@@ -130,7 +130,7 @@ def _checked(q: Parameter, text: str, kind: str, numbers: Sequence[float]) -> Pr
         if q.lower <= 0:
             flaw = (
                 f"needs a lower bound above 0, and that of {q.name} is {q.to_file(q.lower):.6g}: "
-                "ln p would have no end"
+                "ln p would be unbounded"
             )
     elif kind == "normal":
         centre, width = (q.from_file(number) for number in numbers)
@@ -187,7 +187,7 @@ def resolve(
     stems = {q.name: q.name.partition("[")[0] for q in parameters}
     for name in given:
         if name not in names and name not in stems.values():
-            raise unknown_name("parameter for a prior", name, names)
+            raise unknown_name("parameter of a prior", name, names)
     chosen = []
     for q in parameters:
         prior = given.get(q.name, given.get(stems[q.name]))

@@ -220,24 +220,24 @@ def pilot(
     for _ in range(PILOT_ROUNDS):
         whole = centre, covariance
         wide = Proposal.about(target, centre[None, :], covariance[None, :], one, whole, WIDE_SHARES)
-        seen = wide.weighted(target, PILOT, rng)
-        weights = seen.log_weight
+        proposed = wide.weighted(target, PILOT, rng)
+        weights = proposed.log_weight
         if np.isfinite(weights).sum() > LEAST:
-            centre, covariance = _moments(seen.x, seen.tempered(LEAST))
-        if seen.effective >= ENOUGH:
+            centre, covariance = _moments(proposed.x, proposed.tempered(LEAST))
+        if proposed.effective >= ENOUGH:
             break
     whole = centre, covariance
     return Proposal.about(target, centre[None, :], covariance[None, :], one, whole, SHARES), weights
 
 
-def fitted(target: Target, seen: Weighted, rng: np.random.Generator) -> Proposal | None:
+def fitted(target: Target, proposed: Weighted, rng: np.random.Generator) -> Proposal | None:
     """A mixture fitted to weighted draws by expectation maximisation; None where too few count."""
-    if np.isfinite(seen.log_weight).sum() < LEAST:
+    if np.isfinite(proposed.log_weight).sum() < LEAST:
         return None
-    weight = seen.tempered(4 * DRAWS_A_PART)
+    weight = proposed.tempered(4 * DRAWS_A_PART)
     n_parts = max(1, int(min(PARTS, _effective(weight) / DRAWS_A_PART)))
     kept = weight > 1e-12
-    x, weight = seen.x[kept], weight[kept]
+    x, weight = proposed.x[kept], weight[kept]
     whole = _moments(x, weight)
     root = cholesky(whole[1], target.x_upper - target.x_lower)
     z = np.asarray(np.linalg.solve(root, (x - whole[0]).T).T, float)

@@ -116,8 +116,8 @@ def _between(low: FloatArray, high: FloatArray, rng: np.random.Generator) -> Flo
     # Phi(z) = Phi(b) - u (Phi(b) - Phi(a)); far in the lower tail only its logarithm is known.
     log_b = log_ndtr(b)
     part = -u * np.expm1(np.minimum(log_ndtr(a) - log_b, 0))
-    plain = ndtri(ndtr(b) - u * (ndtr(b) - ndtr(a)))
-    z = np.clip(np.where(b > -4, plain, ndtri_exp(log_b + np.log1p(-part))), a, b)
+    direct = ndtri(ndtr(b) - u * (ndtr(b) - ndtr(a)))
+    z = np.clip(np.where(b > -4, direct, ndtri_exp(log_b + np.log1p(-part))), a, b)
     return np.asarray(np.where(flip, -z, z))
 
 
@@ -136,14 +136,16 @@ def _largest(low: FloatArray, high: FloatArray, rho: FloatArray) -> tuple[FloatA
     for axis in range(2):
         other = 1 - axis
         for bound in (low[:, axis], high[:, axis]):
-            place = np.empty_like(low)
-            place[:, axis] = bound
-            place[:, other] = np.clip(rho * bound, low[:, other], high[:, other])
+            corner = np.empty_like(low)
+            corner[:, axis] = bound
+            corner[:, other] = np.clip(rho * bound, low[:, other], high[:, other])
             with np.errstate(invalid="ignore", over="ignore"):
-                value = place[:, 0] ** 2 - 2 * rho * place[:, 0] * place[:, 1] + place[:, 1] ** 2
+                value = (
+                    corner[:, 0] ** 2 - 2 * rho * corner[:, 0] * corner[:, 1] + corner[:, 1] ** 2
+                )
                 value = np.where(np.isfinite(value), value, np.inf)
             better = value < energy
-            best[better] = place[better]
+            best[better] = corner[better]
             energy = np.minimum(energy, value)
     fall = np.abs(best[:, 0] - rho * best[:, 1]) / (1 - rho**2)
     return best[:, 0], np.where(inside, 0.0, fall)

@@ -64,14 +64,14 @@ def split(samples: Source) -> list[Channel]:
     [('450 nm', [0.2]), ('650 nm', [0.1, 0.3])]
     """
     named = _named(samples)
-    found = []
+    channels = []
     for k, (name, one) in enumerate(named.items()):
         material = name if len(named) > 1 else ""
         for label, select, keep in _channels_of(one):
             part = one if keep is None else one.select(keep, ", ".join(select.values()))
             both = ", ".join(word for word in (material, label) if word) or name
-            found.append(Channel(both, material, k, select, part))
-    return found
+            channels.append(Channel(both, material, k, select, part))
+    return channels
 
 
 def _named(samples: Source) -> dict[str, BRDFSamples]:
@@ -88,8 +88,8 @@ def _named(samples: Source) -> dict[str, BRDFSamples]:
 
 
 def _own_name(samples: BRDFSamples) -> str:
-    known = samples.metadata
-    return str(known.get("sample") or Path(str(known.get("path") or "")).stem)
+    metadata = samples.metadata
+    return str(metadata.get("sample") or Path(str(metadata.get("path") or "")).stem)
 
 
 def _channels_of(
@@ -107,7 +107,7 @@ def _channels_of(
     # A channel of one wavelength is called by its name alone, a wavelength of one channel by nm.
     by_name = len(names) == n or len(lengths) < n
     by_length = len(names) < n
-    found = []
+    channels = []
     for k in sorted(range(n), key=lambda k: (pairs[1, k], first[k])):
         select, words = {}, []
         if by_name:
@@ -116,8 +116,8 @@ def _channels_of(
         if by_length:
             select["wavelength"] = f"{lengths[pairs[1, k]]:.9g}"
             words.append(f"{select['wavelength']} nm")
-        found.append((", ".join(words), select, part.ravel() == k))
-    return found
+        channels.append((", ".join(words), select, part.ravel() == k))
+    return channels
 
 
 def _distinct(column: NDArray[Any] | None, n: int) -> tuple[NDArray[Any], NDArray[np.int64]]:

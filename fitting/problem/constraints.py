@@ -49,10 +49,10 @@ class Constraints:
         {'alpha_y': 'alpha_x'}
         """
         values, ties = dict(fixed or {}), dict(tied or {})
-        for verb, names in (("fix", values), ("tie", [*ties, *ties.values()])):
+        for how, names in (("fixed", values), ("tied", [*ties, *ties.values()])):
             for name in names:
                 if name not in model.names:
-                    raise unknown_name(f"parameter of {model.name} to {verb}", name, model.names)
+                    raise unknown_name(f"{how} parameter", name, model.names, of=model.name)
         for name in values:
             if name in ties:
                 raise ConfigurationError(
@@ -69,9 +69,9 @@ class Constraints:
                 "to fit; leave one of them free.",
                 value=sorted(held),
             )
-        found = cls(held, ends)
-        _check_sum(model, found)
-        return found
+        constraints = cls(held, ends)
+        _check_sum(model, constraints)
+        return constraints
 
     def __bool__(self) -> bool:
         return bool(self.fixed or self.tied)
@@ -181,11 +181,11 @@ def _end(model: Model, name: str, ties: Mapping[str, str]) -> str:
     return chain[-1]
 
 
-def _check_sum(model: Model, found: Constraints) -> None:
+def _check_sum(model: Model, constraints: Constraints) -> None:
     """Refuse fixed reflectances that leave nothing for the others."""
     c = sum_limit(model, model.parameters)
     values = {
-        q.name: found.fixed.get(found.tied.get(q.name, q.name))
+        q.name: constraints.fixed.get(constraints.tied.get(q.name, q.name))
         for q, share in zip(model.parameters, c, strict=True)
         if share
     }

@@ -28,7 +28,7 @@ def usable(samples: BRDFSamples) -> BRDFSamples:
     for what, size in columns.items():
         if size > 0 and not SMALLEST <= size <= LARGEST:
             raise DataError(
-                f"{what} is {size:.3g} sr^-1; a fit can compute with {SMALLEST:g} to {LARGEST:g}. "
+                f"{what} is {size:.3g} sr^-1; a fit can work with {SMALLEST:g} to {LARGEST:g}. "
                 "Check the unit and the scale of the data.",
                 value=float(size),
             )
@@ -56,11 +56,11 @@ def without_copies(samples: BRDFSamples) -> BRDFSamples:
 
 def copies_warning(samples: BRDFSamples) -> list[str]:
     """A warning where `without_copies` took some away."""
-    found = [line for line in samples.history if line.startswith(_COPIES)]
-    if not found:
+    lines = [line for line in samples.history if line.startswith(_COPIES)]
+    if not lines:
         return []
-    kept, total = (int(word) for word in found[0].split(": ")[1].split() if word.isdigit())
+    kept, total = (int(word) for word in lines[0].split(": ")[1].split() if word.isdigit())
     return [
         f"{total - kept} of {total} samples are exact copies of others (same directions and "
-        "value); they tell nothing new and were counted once."
+        "value); they add no information and were counted once."
     ]

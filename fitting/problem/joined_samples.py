@@ -68,15 +68,15 @@ def _history(channels: Sequence[Channel], *, one: bool) -> tuple[str, ...]:
 
 
 def _joined_terms(channels: Sequence[Channel]) -> tuple[SharedTerm, ...]:
-    found: dict[tuple[Any, ...], list[SharedTerm | None]] = {}
+    by_key: dict[tuple[Any, ...], list[SharedTerm | None]] = {}
     for k, channel in enumerate(channels):
-        seen: dict[tuple[Any, ...], int] = {}
+        count: dict[tuple[Any, ...], int] = {}
         for term in channel.samples.shared:
             key = _identity(term, channel)
             # The same error twice in one source is two errors.
-            seen[key] = seen.get(key, 0) + 1
-            found.setdefault((*key, seen[key]), [None] * len(channels))[k] = term
-    return tuple(_one_term(terms, channels) for terms in found.values())
+            count[key] = count.get(key, 0) + 1
+            by_key.setdefault((*key, count[key]), [None] * len(channels))[k] = term
+    return tuple(_one_term(terms, channels) for terms in by_key.values())
 
 
 def _identity(term: SharedTerm, channel: Channel) -> tuple[Any, ...]:
@@ -88,8 +88,8 @@ def _identity(term: SharedTerm, channel: Channel) -> tuple[Any, ...]:
 def _one_term(terms: Sequence[SharedTerm | None], channels: Sequence[Channel]) -> SharedTerm:
     """One term over all samples; it does nothing to channels that do not have it."""
     sizes = [len(channel.samples) for channel in channels]
-    known = [term for term in terms if term is not None]
-    partial = len(known) < len(terms)
+    given = [term for term in terms if term is not None]
+    partial = len(given) < len(terms)
 
     def column(name: str, shape: tuple[int, ...], unset: float) -> Any:
         filled = [
@@ -101,11 +101,11 @@ def _one_term(terms: Sequence[SharedTerm | None], channels: Sequence[Channel]) -
         return np.concatenate(filled)
 
     def has(name: str) -> bool:
-        return any(getattr(term, name) is not None for term in known)
+        return any(getattr(term, name) is not None for term in given)
 
     group = column("group", (), 0).astype(np.int64) if has("group") else None
     return replace(
-        known[0],
+        given[0],
         group=group,
         shift=column("shift", (3,), 0.0) if has("shift") else None,
         profile=column("profile", (), 1.0) if has("profile") or partial else None,

@@ -192,7 +192,7 @@ class JointProblem:
         names = [q.name for q in self.parameters]
         for name in values:
             if name not in names and name not in self.model.names:
-                raise unknown_name(f"parameter of {self.name}", name, {*names, *self.model.names})
+                raise unknown_name("parameter", name, {*names, *self.model.names}, of=self.name)
         return np.array(
             [
                 q.check(values.get(q.name, values.get(base_name(q.name), q.default)))
@@ -307,16 +307,16 @@ class JointProblem:
 
     def model_at(self, directions: Directions, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The model of part after part at these directions."""
-        found = [
+        by_part = [
             part.model_at(directions, p[own_indices])
             for part, own_indices in zip(self.parts, self.indices, strict=True)
         ]
-        jac = np.zeros((sum(len(f) for f, _ in found), len(p)))
+        jac = np.zeros((sum(len(f) for f, _ in by_part), len(p)))
         start = 0
-        for (f, own), own_indices in zip(found, self.indices, strict=True):
+        for (f, own), own_indices in zip(by_part, self.indices, strict=True):
             jac[start : start + len(f), own_indices] = own
             start += len(f)
-        return np.concatenate([f for f, _ in found]), jac
+        return np.concatenate([f for f, _ in by_part]), jac
 
     def chi2(self, p: FloatArray) -> float:
         pairs = zip(self.parts, self.indices, strict=True)
@@ -399,18 +399,18 @@ def _reported(
     for r in part.reported:
         in_common = r.unknown is None or part.parameters[r.unknown].name in shared
         (common if in_common else own).append(r)
-    found = [replace(r, unknown=None if r.unknown is None else int(indices[0][r.unknown]))
+    reported = [replace(r, unknown=None if r.unknown is None else int(indices[0][r.unknown]))
              for r in common]  # fmt: skip
     for label, own_indices in zip(labels, indices, strict=True):
         for r in own:
             assert r.unknown is not None
             name = f"{r.parameter.name}[{label}]"
             meaning = f"{r.parameter.meaning}, {label}"
-            found.append(
+            reported.append(
                 Reported(
                     replace(r.parameter, name=name, meaning=meaning),
                     int(own_indices[r.unknown]),
                     tied_to=None if r.tied_to is None else f"{r.tied_to}[{label}]",
                 )
             )
-    return tuple(found)
+    return tuple(reported)

@@ -46,9 +46,9 @@ class Loss:
     likelihood: bool = True
     scaled: bool = False
 
-    def check_weights(self, weights: Any, *, known: bool) -> Any:
-        """The weights, "sd" by default where uncertainties are known."""
-        return ("sd" if known else "none") if weights is None else weights
+    def check_weights(self, weights: Any, *, has_u: bool) -> Any:
+        """The weights, "sd" by default where the samples have uncertainties."""
+        return ("sd" if has_u else "none") if weights is None else weights
 
     def check_values(self, y: FloatArray, cos_r: FloatArray) -> None:
         """Refuse values for which the loss is not defined."""
@@ -86,7 +86,7 @@ class _Transformed(Loss):
         """dt/dx, 0 where it is not finite."""
         raise NotImplementedError
 
-    def check_weights(self, weights: Any, *, known: bool) -> Any:
+    def check_weights(self, weights: Any, *, has_u: bool) -> Any:
         if weights not in (None, "none"):
             raise ConfigurationError(
                 f"loss {self.name!r} compares {self.meaning} with equal weights; leave the "

@@ -263,14 +263,14 @@ class NuisanceProblem:
             inner -= cross @ square @ cross.T
         sd = np.sqrt(np.diag(np.linalg.inv((inner + inner.T) / 2)).clip(0, 1))
         z = self.draws(p)
-        found: list[tuple[str, int | None, float, float]] = []
+        draws: list[tuple[str, int | None, float, float]] = []
         for term, draw in zip(self.terms, self.draw, strict=True):
             first = int(draw.min())
-            found += [
+            draws += [
                 (term.name, label, float(z[first + k]), float(sd[first + k]))
                 for k, label in enumerate(term.labels)
             ]
-        return found
+        return draws
 
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         f = self.moved.values(p)

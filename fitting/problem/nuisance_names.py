@@ -40,34 +40,34 @@ def profiled_terms(samples: BRDFSamples, nuisance: Nuisance) -> tuple[str, ...]:
     """
     if isinstance(nuisance, str):
         nuisance = {"none": [], "all": ["all"]}.get(nuisance, [nuisance])
-    known = tuple(dict.fromkeys(term.name for term in samples.shared if not term.typical))
+    names = tuple(dict.fromkeys(term.name for term in samples.shared if not term.typical))
     typical = {term.name for term in samples.shared if term.typical}
-    if nuisance and not known:
+    if nuisance and not names:
         raise ConfigurationError(
             "the samples state no shared errors that a fit could profile; give a session, or "
             "samples of 'gonio reduce'.",
             value=nuisance,
         )
     if list(nuisance) == ["all"]:
-        return known
-    found: list[str] = []
+        return names
+    chosen: list[str] = []
     for name in nuisance:
-        family = [term for term in known if term.partition(",")[0] == name]
-        matching = [name] if name in known else family
+        family = [term for term in names if term.partition(",")[0] == name]
+        matching = [name] if name in names else family
         if name in typical or (not matching and name in {t.partition(",")[0] for t in typical}):
             raise ConfigurationError(
-                f"the shared error {name!r} stands for errors of many shapes by a typical one: it "
-                f"is propagated and cannot be profiled; others can: {'; '.join(known)}.",
+                f"the shared error {name!r} is only a typical shape of an error of many shapes: it "
+                f"is propagated and cannot be profiled; others can: {'; '.join(names)}.",
                 value=name,
             )
         if not matching:
             raise ConfigurationError(
-                f"nuisance {name!r} is none of the shared errors of these samples; give all, none, "
-                f"or some of: {'; '.join(known)}.",
+                f"nuisance {name!r} is not a shared error of these samples; give all, none, "
+                f"or some of: {'; '.join(names)}.",
                 value=name,
             )
-        found += matching
-    return tuple(name for name in known if name in found)
+        chosen += matching
+    return tuple(name for name in names if name in chosen)
 
 
 def parse_names(text: str) -> Nuisance:

@@ -116,7 +116,7 @@ class ReducedProblem:
 
     @property
     def terms_of_sum(self) -> list[tuple[str, NDArray[np.int64]]]:
-        found: list[tuple[str, NDArray[np.int64]]] = []
+        terms: list[tuple[str, NDArray[np.int64]]] = []
         taken: set[int] = set()
         for k, (name, arguments) in enumerate(self.whole.terms_of_sum):
             indices = self.kernel.source[arguments]
@@ -127,8 +127,8 @@ class ReducedProblem:
             shared = any(np.count_nonzero(self.kernel.source == j) > 1 for j in own)
             label = name if whole and not shared else f"{name}, term {k}"
             if own:
-                found.append((label, np.array(own, np.int64)))
-        return found
+                terms.append((label, np.array(own, np.int64)))
+        return terms
 
     @property
     def kernel_parameters(self) -> KernelParameters | None:
@@ -146,7 +146,7 @@ class ReducedProblem:
         names = [q.name for q in self.parameters]
         for name in values:
             if name not in names:
-                raise unknown_name(f"unknown parameter of {self.name}", name, names)
+                raise unknown_name("free parameter", name, names, of=self.name)
         return np.array([q.check(values.get(q.name, self._default(q))) for q in self.parameters])
 
     def _default(self, q: Parameter) -> float:

@@ -21,6 +21,7 @@ from gonio.geometry import Directions, FloatArray
 from gonio.kernels import map_blocks
 from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells
+from gonio.wording import counted
 
 BLOCK = 8192  # cells of one pass
 COSTLY_BLOCK = 256  # of a costly model, to share the work out
@@ -79,7 +80,8 @@ class SingleProblem:
         n_p = len(model.parameters) if n_unknowns is None else n_unknowns
         if len(samples) <= n_p:
             raise DataError(
-                f"{len(samples)} samples cannot decide the {n_p} parameters of {model.name}; "
+                f"{counted(len(samples), 'sample')} cannot determine the "
+                f"{counted(n_p, 'parameter')} of {model.name}; "
                 f"give at least {n_p + 1}."
             )
         view = ViewedSamples.of(samples, threads)

@@ -26,7 +26,7 @@ def checked_weights(weights: Any, law: Loss, samples: BRDFSamples) -> Weights:
         raise ConfigurationError(
             f"weights {weights!r} are unknown; allowed are {', '.join(get_args(Weights))}."
         )
-    chosen: Weights = law.check_weights(weights, known=samples.u_independent is not None)
+    chosen: Weights = law.check_weights(weights, has_u=samples.u_independent is not None)
     if chosen == "sd" and samples.u_independent is None:
         raise ConfigurationError(
             "weights 'sd' need uncertainties and the samples have none (no u_brdf column); "

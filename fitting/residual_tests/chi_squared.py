@@ -30,9 +30,9 @@ def chi_squared_test(base: Base) -> tuple[float, float, float, str]:
 
     def product(a: FloatArray, b: FloatArray) -> FloatArray:
         """a^T C^-1 b."""
-        plain = a.T @ (weight[:, None] * b)
+        unprojected = a.T @ (weight[:, None] * b)
         return np.asarray(
-            plain - (u.T @ (weight[:, None] * a)).T @ inner @ (u.T @ (weight[:, None] * b))
+            unprojected - (u.T @ (weight[:, None] * a)).T @ inner @ (u.T @ (weight[:, None] * b))
         )
 
     r = base.residual[:, None]

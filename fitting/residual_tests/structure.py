@@ -106,6 +106,6 @@ def neighbour_test(problem: Problem, left: Whitened) -> Test | None:
     if len(products) < 3 * LEAST or size == 0:
         return None
     statistic = float(np.sum(products)) / size
-    alike = float(2 * np.sum(products) / np.sum(left.z[pairs] ** 2))
+    share = float(2 * np.sum(products) / np.sum(left.z[pairs] ** 2))
     p_value = float(stats.norm.sf(statistic))
-    return Test(NEIGHBOURING, statistic, len(products), p_value, float(np.clip(alike, 0.0, 1.0)))
+    return Test(NEIGHBOURING, statistic, len(products), p_value, float(np.clip(share, 0.0, 1.0)))

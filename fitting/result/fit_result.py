@@ -135,9 +135,9 @@ class FitResult(FitRecord):
             As `covariance_frame`.
         """
         self.covariance_frame()
-        known = correlation(self)
-        assert known is not None  # where there is a covariance
-        return frames.matrix_frame(known.names, known.rows)
+        matrix = correlation(self)
+        assert matrix is not None  # where there is a covariance
+        return frames.matrix_frame(matrix.names, matrix.rows)
 
     def inference_data(self, *, log_likelihood: bool = False) -> Any:
         """The posterior's draws in memory, as arviz takes them; angles in radians.
@@ -164,12 +164,12 @@ class FitResult(FitRecord):
             raise forgotten(
                 "its draws", "give fit(..., draws=PATH) and open that file with arviz.from_netcdf"
             )
-        found = self.memory.inference_data(log_likelihood=log_likelihood)
-        if found is None:
+        data = self.memory.inference_data(log_likelihood=log_likelihood)
+        if data is None:
             raise ConfigurationError(
                 "this fit has no posterior to make inference data of; fit with posterior=True."
             )
-        return found
+        return data
 
     def part(self, name: str) -> FitResult:
         """One part of a joint fit as a fit of its own, its parameters by the model's names.

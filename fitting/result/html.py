@@ -7,6 +7,7 @@ from html import escape
 from gonio.fitting.result.lines import posterior_lines
 from gonio.fitting.result.record import FitRecord
 from gonio.fitting.result.tables import parameter_row
+from gonio.wording import counted
 
 MOST = 40  # parameters of a joint fit that are shown
 _HEAD = ("parameter", "value", "standard uncertainty", "95 % interval")
@@ -17,11 +18,11 @@ def html(record: FitRecord, title: str) -> str:
     """The parameters as a table with the goodness of fit below, warnings last."""
     names = list(record.parameters)
     rows = [_row("td", parameter_row(name, record.parameters[name], None)) for name in names[:MOST]]
-    facts = [f"{record.n_samples} samples", record.status.replace("_", " ")]
+    facts = [counted(record.n_samples, "sample"), record.status.replace("_", " ")]
     if record.weights == "sd" and record.loss == "chi2":
         facts.insert(1, f"χ²/dof {record.chi2 / record.dof:.4g}")
     if len(names) > MOST:
-        facts.append(f"{len(names) - MOST} more parameters: to_dataframe() has all")
+        facts.append(f"{counted(len(names) - MOST, 'more parameter')}: to_dataframe() has all")
     lines = ["; ".join(facts)]
     if record.posterior is not None:
         lines += posterior_lines(record.posterior)
@@ -32,8 +33,7 @@ def html(record: FitRecord, title: str) -> str:
     ]
     if record.warnings:
         items = "".join(f"<li>{escape(warning)}</li>" for warning in record.warnings)
-        count = len(record.warnings)
-        heading = f"{count} warning{'s' if count > 1 else ''}"
+        heading = counted(len(record.warnings), "warning")
         parts.append(f"<details><summary>{heading}</summary><ul>{items}</ul></details>")
     return f"<div>{''.join(parts)}</div>"
 

@@ -106,10 +106,12 @@ def _cell(estimate: Estimate, digits: int) -> str:
 
 def _common_decimals(estimates: Sequence[Estimate]) -> int:
     """Two digits of the middle uncertainty, one more at most where some are smaller."""
-    known = sorted(e.stderr for e in estimates if e.stderr)
-    if not known:
+    ordered = sorted(e.stderr for e in estimates if e.stderr)
+    if not ordered:
         return 4
-    middle, least = (1 - math.floor(math.log10(u)) for u in (known[len(known) // 2], known[0]))
+    middle, least = (
+        1 - math.floor(math.log10(u)) for u in (ordered[len(ordered) // 2], ordered[0])
+    )
     return min(max(min(least, middle + 1), 0), 9)
 
 
@@ -132,12 +134,12 @@ def _verdict(record: FitRecord) -> str:
     """What the test of the sharing found."""
     test = record.sharing
     if test is None:
-        return "nothing is shared: the parts were fitted each for itself"
+        return "nothing is shared: each part was fitted by itself"
     if test.p_value is None:
         return "sharing: nothing to test, no shared parameter is determined in two parts"
     chance = f"{test.p_value:.2g}" if test.p_value > 1e-15 else "< 1e-15"
-    found = "the data REFUSE it" if test.refused else "the data allow it"
+    outcome = "the data REJECT it" if test.refused else "the data allow it"
     return (
-        f"sharing: {found}; chi2 grows by {test.growth:.4g} over separate fits, "
+        f"sharing: {outcome}; chi2 grows by {test.growth:.4g} over separate fits, "
         f"{test.dof} expected (p {chance if test.p_value <= 1e-15 else '= ' + chance})"
     )

@@ -64,7 +64,7 @@ def nuisance_lines(profiled: Sequence[NuisanceEstimate]) -> list[str]:
     """
     names = list(dict.fromkeys(e.name for e in profiled))
     width = max(14, *map(len, names))
-    found = ["profiled shared errors, in units of their stated standard uncertainty (prior 0 ± 1):"]
+    lines = ["profiled shared errors, in units of their stated standard uncertainty (prior 0 ± 1):"]
     for name in names:
         draws = [e for e in profiled if e.name == name]
         largest = max(draws, key=lambda e: abs(e.estimate))
@@ -72,5 +72,5 @@ def nuisance_lines(profiled: Sequence[NuisanceEstimate]) -> list[str]:
         if len(draws) > 1:
             rms = (sum(e.estimate**2 for e in draws) / len(draws)) ** 0.5
             text = f"{len(draws)} draws of rms {rms:.2f}, the largest {text}"
-        found.append(f"  {name:<{width}} {text}")
-    return found
+        lines.append(f"  {name:<{width}} {text}")
+    return lines

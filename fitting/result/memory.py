@@ -34,6 +34,6 @@ class Memory(Protocol):
 def forgotten(what: str, instead: str) -> DataError:
     """What a result that was read from a file, or made by hand, cannot give."""
     return DataError(
-        f"this result does not hold {what}: it was read from a file, which has the parameters "
-        f"alone; {instead}."
+        f"this result does not hold {what}: it was read from a file, which holds the "
+        f"parameters only; {instead}."
     )

@@ -21,38 +21,38 @@ def part(record: Record, name: str) -> Record:
     ConfigurationError
         If the fit has no part of this name, with the nearest one.
     """
-    found = next((part for part in record.parts if part.name == name), None)
-    if found is None:
-        raise unknown_name("part of the fit", name, [part.name for part in record.parts])
+    chosen = next((part for part in record.parts if part.name == name), None)
+    if chosen is None:
+        raise unknown_name("part", name, [part.name for part in record.parts], of="the fit")
     order = list(record.parameters)
-    at = [order.index(own) for own in found.parameters.values()]
+    at = [order.index(own) for own in chosen.parameters.values()]
     c = record.covariance
-    names = {own: q for q, own in found.parameters.items()}
+    names = {own: q for q, own in chosen.parameters.items()}
     source = {
         # What the source says of the parameters goes by the model's names as well.
         **{key: _of_part(value, record.parameters, names) for key, value in record.source.items()},
         "joint": {
             "part": name,
-            "parameters": dict(found.parameters),
-            "share": [q for q, own in found.parameters.items() if q == own],
+            "parameters": dict(chosen.parameters),
+            "share": [q for q, own in chosen.parameters.items() if q == own],
             "select": dict(record.cuts.get("select") or {}),
             "input": record.source.get("input"),
         },
     }
-    if found.input is not None:
-        source["input"] = found.input
+    if chosen.input is not None:
+        source["input"] = chosen.input
     return replace(
         record,
-        parameters={name: record.parameters[own] for name, own in found.parameters.items()},
+        parameters={name: record.parameters[own] for name, own in chosen.parameters.items()},
         covariance=None if c is None else [[c[j][k] for k in at] for j in at],
-        chi2=found.chi2,
-        dof=found.dof,
-        noise_scale=found.noise_scale,
-        n_samples=found.n_samples,
-        n_negative=found.n_negative,
-        cuts={**record.cuts, "select": {**(record.cuts.get("select") or {}), **found.select}},
+        chi2=chosen.chi2,
+        dof=chosen.dof,
+        noise_scale=chosen.noise_scale,
+        n_samples=chosen.n_samples,
+        n_negative=chosen.n_negative,
+        cuts={**record.cuts, "select": {**(record.cuts.get("select") or {}), **chosen.select}},
         source=source,
-        diagnostics=_part_diagnostics(record.diagnostics, found, record.parts.index(found)),
+        diagnostics=_part_diagnostics(record.diagnostics, chosen, record.parts.index(chosen)),
         parts=(),
         sharing=None,
     )
@@ -67,19 +67,19 @@ def _part_diagnostics(whole: Mapping[str, Any], part: PartFit, k: int) -> dict[s
         part_diagnostics["residuals"] = residuals["parts"][k]
     if whole.get("priors"):
         part_diagnostics["priors"] = {names[n]: v for n, v in whole["priors"].items() if n in names}
-    found = whole.get("identifiability")
-    if found:
-        order = [j for j, name in enumerate(found["parameters"]) if name in names]
-        axes = [_renamed(axis["change"], names) for axis in found["axes"]]
+    report = whole.get("identifiability")
+    if report:
+        order = [j for j, name in enumerate(report["parameters"]) if name in names]
+        axes = [_renamed(axis["change"], names) for axis in report["axes"]]
         part_diagnostics["identifiability"] = {
-            **found,
-            "parameters": [names[found["parameters"][j]] for j in order],
-            "correlation": [[found["correlation"][j][m] for m in order] for j in order],
-            "bound": _renamed(found["bound"], names),
-            "alone": _renamed(found["alone"], names),
+            **report,
+            "parameters": [names[report["parameters"][j]] for j in order],
+            "correlation": [[report["correlation"][j][m] for m in order] for j in order],
+            "bound": _renamed(report["bound"], names),
+            "alone": _renamed(report["alone"], names),
             "axes": [
                 {**axis, "change": change}
-                for axis, change in zip(found["axes"], axes, strict=True)
+                for axis, change in zip(report["axes"], axes, strict=True)
                 if change
             ],
         }

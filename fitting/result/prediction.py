@@ -10,6 +10,7 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.result.record import FitRecord
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model
+from gonio.wording import counted
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,8 @@ def predict(record: FitRecord, model: Model, directions: Directions) -> Predicti
     """
     if record.parts:
         raise ConfigurationError(
-            f"a joint fit of {len(record.parts)} parts predicts by part; choose one, as with "
-            f"result.part({record.parts[0].name!r}).predict(directions)."
+            f"a joint fit of {counted(len(record.parts), 'part')} predicts by part; choose one, as "
+            f"with result.part({record.parts[0].name!r}).predict(directions)."
         )
     if not isinstance(directions, Directions):
         raise ConfigurationError(

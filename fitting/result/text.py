@@ -13,6 +13,7 @@ from gonio.fitting.result.joint_tables import joint_tables
 from gonio.fitting.result.lines import WEIGHTS, cuts_line, nuisance_lines, posterior_lines
 from gonio.fitting.result.record import FitRecord
 from gonio.fitting.result.tables import parameter_table
+from gonio.wording import counted
 
 WIDTH = 100  # columns of a page that goes to no terminal
 MOST = 8  # parameters that a short line names
@@ -40,10 +41,10 @@ def page(
     explain : bool
         With what the data say of each parameter, and where the residuals are.
     """
-    parts = f" in {len(record.parts)} parts" if record.parts else ""
+    parts = f" in {counted(len(record.parts), 'part')}" if record.parts else ""
     pieces: list[RenderableType] = [
         title,
-        f"{record.n_samples} samples{parts}{cuts_line(record.cuts)}; "
+        f"{counted(record.n_samples, 'sample')}{parts}{cuts_line(record.cuts)}; "
         f"weights: {WEIGHTS.get(record.weights, record.weights)}",
         f"loss: {record.loss}; engine: {record.engine}",
     ]
@@ -81,13 +82,13 @@ def short(record: FitRecord) -> str:
     shown = [f"{name} = {_value(e)}" for name, e in list(record.parameters.items())[:MOST]]
     if len(record.parameters) > MOST:
         shown.append(f"... {len(record.parameters) - MOST} more")
-    facts = [record.status.replace("_", " "), f"{record.n_samples} samples"]
+    facts = [record.status.replace("_", " "), counted(record.n_samples, "sample")]
     if record.weights == "sd" and record.loss == "chi2":
         facts.append(f"chi2/dof {record.chi2 / record.dof:.4g}")
     if record.posterior is not None:
         facts.append("posterior")
     if record.warnings:
-        facts.append(f"{len(record.warnings)} warnings")
+        facts.append(counted(len(record.warnings), "warning"))
     return f"<FitResult {record.model}: {', '.join(shown)}; {', '.join(facts)}>"
 
 

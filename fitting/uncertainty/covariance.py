@@ -130,8 +130,8 @@ def _moves(
             columns = (weighted * change[where, None]).T
             score = [np.bincount(group[where], weights=c, minlength=len(moves)) for c in columns]
             moves += np.transpose(inverse[:, index] @ score)
-    found: dict[str, FloatArray] = {}
+    by_term: dict[str, FloatArray] = {}
     for term, (_, _, moves) in zip(problem.samples.shared, terms, strict=True):
         # Errors of several sources may have one name: they are draws of their own.
-        found[term.name] = np.concatenate([found.get(term.name, moves[:0]), moves])
-    return found
+        by_term[term.name] = np.concatenate([by_term.get(term.name, moves[:0]), moves])
+    return by_term

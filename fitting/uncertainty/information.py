@@ -32,11 +32,11 @@ def information(
     """
     f, jacobian = problem.jacobian(p)
     weighted = problem.weighted(jacobian)
-    found = weighted.T @ jacobian / noise_scale**2
+    matrix = weighted.T @ jacobian / noise_scale**2
     if not (shared and problem.samples.shared):
-        return np.asarray(found)
+        return np.asarray(matrix)
     u = shared_columns(problem, p, f)
     cross = np.asarray(u.T @ weighted) / noise_scale**2
     inner = np.eye(u.shape[1]) + weighted_square(u, problem.inverse_variance) / noise_scale**2
-    found = found - cross.T @ np.linalg.solve(inner, cross)
-    return np.asarray((found + found.T) / 2)
+    matrix = matrix - cross.T @ np.linalg.solve(inner, cross)
+    return np.asarray((matrix + matrix.T) / 2)

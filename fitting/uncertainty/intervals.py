@@ -38,7 +38,7 @@ def estimated(
     if bare:
         warnings.append(
             "the model leaves no residuals beyond rounding and the samples state no uncertainty: "
-            "nothing tells how uncertain the parameters are; give u_brdf."
+            "the parameters have no uncertainties; give u_brdf."
         )
     for j, q in enumerate(problem.parameters):
         value = float(optimum.p[j])
@@ -58,7 +58,7 @@ def estimated(
         if estimate.interval_95 is None:
             warnings.append(
                 f"{q.name} is not determined by these data: its value is arbitrary and it has no "
-                "uncertainty; measure other directions or hold the model simpler."
+                "uncertainty; measure other directions or use a simpler model."
             )
         estimates[q.name] = estimate
     return estimates, warnings
@@ -106,15 +106,15 @@ def _inside(
     if intervals[1] == (q.lower, q.upper):
         return Estimate(value, None, q.unit, None, None, None)
     components = errors.components(j)
-    known = stderr < q.upper - q.lower
+    is_known = stderr < q.upper - q.lower
     return Estimate(
         value,
-        stderr if known else None,
+        stderr if is_known else None,
         q.unit,
         None,
         intervals[0],
         intervals[1],
-        components if known else {},
+        components if is_known else {},
     )
 
 

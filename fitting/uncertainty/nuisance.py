@@ -21,7 +21,7 @@ def nuisance_estimates(minimum: Minimum) -> tuple[NuisanceEstimate, ...]:
     return tuple(NuisanceEstimate(*draw) for draw in draws)
 
 
-def pull_warnings(found: Sequence[NuisanceEstimate]) -> list[str]:
+def pull_warnings(estimates: Sequence[NuisanceEstimate]) -> list[str]:
     """A sentence for every term with a draw too far from 0 for its prior.
 
     The pull of a draw is its estimate over sqrt(1 - sd^2), the spread that an honest prior gives
@@ -31,19 +31,19 @@ def pull_warnings(found: Sequence[NuisanceEstimate]) -> list[str]:
 
     pulls = {
         k: e.estimate / np.sqrt(1 - e.stderr**2)
-        for k, e in enumerate(found)
+        for k, e in enumerate(estimates)
         if 1 - e.stderr**2 >= INFORMED
     }
     limit = float(norm.isf(norm.sf(PULL) / max(len(pulls), 1)))
     worst: dict[str, int] = {}
     for k, pull in pulls.items():
-        name = found[k].name
+        name = estimates[k].name
         if abs(pull) > limit and abs(pull) > abs(pulls.get(worst.get(name, -1), 0.0)):
             worst[name] = k
     return [
         f"the data pull the shared error {name!r}"
-        + ("" if found[k].group is None else f" (draw {found[k].group})")
-        + f" to {found[k].estimate:+.1f} of its standard uncertainties: the budget is too small "
-        "for it, or the model is wrong and it takes up what the model lacks."
+        + ("" if estimates[k].group is None else f" (draw {estimates[k].group})")
+        + f" to {estimates[k].estimate:+.1f} of its standard uncertainties: the budget is too "
+        "small for it, or the model is wrong and this error makes up for it."
         for name, k in worst.items()
     ]

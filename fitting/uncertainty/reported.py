@@ -19,16 +19,16 @@ def all_estimates(
     A fixed parameter has its value and no uncertainty; tied ones have the estimate that they share.
     """
     unknowns = list(estimates.values())
-    found = {}
+    stated = {}
     for r in reported:
         q = r.parameter
         if r.unknown is None:
-            found[q.name] = Estimate(
+            stated[q.name] = Estimate(
                 r.of(np.zeros(0)), None, q.unit, None, None, None, fixed=True, tied_to=r.tied_to
             )
         else:
-            found[q.name] = replace(unknowns[r.unknown], tied_to=r.tied_to)
-    return found
+            stated[q.name] = replace(unknowns[r.unknown], tied_to=r.tied_to)
+    return stated
 
 
 def all_covariances(
@@ -49,5 +49,5 @@ def all_covariances(
     for row, r in zip(gain, reported, strict=True):
         if r.unknown is not None:
             row[r.unknown] = 1.0
-    found = gain @ np.asarray(covariance) @ gain.T
-    return [[float(v) for v in row] for row in found]
+    matrix = gain @ np.asarray(covariance) @ gain.T
+    return [[float(v) for v in row] for row in matrix]

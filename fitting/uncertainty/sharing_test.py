@@ -51,8 +51,8 @@ def sharing_test(
         for j, q in enumerate(part.parameters):
             if q.name in names:
                 sd = float(np.sqrt(errors.covariance[index[j], index[j]]))
-                known = errors.determined[index[j]] and sd < q.upper - q.lower
-                pairs[q.name] = (float(own.p[j]), sd if known else None)
+                is_known = errors.determined[index[j]] and sd < q.upper - q.lower
+                pairs[q.name] = (float(own.p[j]), sd if is_known else None)
         identified_pairs.append(pairs)
     refused = p_value is not None and p_value < REFUSED
     return Sharing(names, growth, max(dof, 0), p_value, refused), identified_pairs

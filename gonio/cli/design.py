@@ -170,7 +170,7 @@ def _wanted(model: Model, parameters: dict[str, float], text: str | None) -> dic
                 value=item,
             )
         if name not in model.names:
-            raise unknown_name(f"parameter of {model.name}", name, model.names)
+            raise unknown_name("parameter", name, model.names, of=model.name)
         if name in wanted_u:
             raise ConfigurationError(f"--want {name} is given twice; give it once.", value=item)
         try:

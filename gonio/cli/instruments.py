@@ -85,8 +85,9 @@ def command(
     if resolution or map_to is not None:
         if name is None or as_toml or not resolution:
             raise ConfigurationError(
-                "--resolution traces one instrument, with --map OUT.png if you like; give its name "
-                f"and no --toml. Known: {', '.join(instrument.preset_names())}, or a FILE.toml."
+                "--resolution traces one instrument, with --map OUT.png if you like; "
+                f"without --toml, give one of {', '.join(instrument.preset_names())}, "
+                "or a FILE.toml."
             )
         _resolution(instrument.load(name), as_json, map_to)
         return
@@ -110,8 +111,8 @@ def _print_file(name: str | None, as_json: bool) -> None:
 
     if name is None or as_json:
         raise ConfigurationError(
-            "--toml prints the file of one preset; give its name, and no --json. "
-            f"Known: {', '.join(instrument.preset_names())}."
+            "--toml prints the file of one preset; without --json, give one of "
+            f"{', '.join(instrument.preset_names())}."
         )
     instrument.preset(name)
     file = resources.files("gonio.data") / "instruments" / f"{name}.toml"

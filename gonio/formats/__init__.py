@@ -230,7 +230,7 @@ def _in_channel(samples: BRDFSamples, wanted: str, where: str) -> BRDFSamples:
     names = [wanted] if wanted in channels else [name.strip() for name in wanted.split(",")]
     for name in names:
         if name not in channels:
-            raise unknown_name(f"channel in {where}", name, channels)
+            raise unknown_name("channel", name, channels, of=where)
     return samples.select(np.isin(samples.channel, names), f"channel {wanted}")
 
 

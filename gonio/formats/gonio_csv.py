@@ -9,14 +9,13 @@ directions leave the surface; phi from +x, counter-clockwise seen from outside) 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.errors import DataError
+from gonio.errors import DataError, unknown_name
 from gonio.formats._text import Lines, Table, check_polar, numbers, open_text
 from gonio.geometry import Directions, FloatArray
 from gonio.samples import ANGLES, BRDFSamples
@@ -166,12 +165,7 @@ def _read_columns(path: Path, required: tuple[str, ...]) -> dict[str, NDArray[An
 def _check_header(path: Path, header: list[str], required: tuple[str, ...]) -> None:
     for name in header:
         if name not in COLUMNS:
-            near = get_close_matches(name.lower(), COLUMNS, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise DataError(
-                f"{path}: unknown column {name!r}: {hint}Allowed: {', '.join(COLUMNS)}.",
-                value=name,
-            )
+            raise DataError(f"{path}: {unknown_name('column', name, COLUMNS)}", value=name)
     missing = [name for name in required if name not in header]
     if missing:
         raise DataError(

@@ -178,7 +178,7 @@ class Model:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise unknown_name(f"parameter of {self.name}", name, self.names)
+        raise unknown_name("parameter", name, self.names, of=self.name)
 
     def vector(self, parameters: Mapping[str, float]) -> FloatArray:
         """Checked parameter vector in the kernel's order, defaults filled in."""

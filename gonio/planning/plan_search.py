@@ -141,7 +141,7 @@ def checked_targets(
     """
     for name, share in wanted.items():
         if name not in model.names:
-            raise unknown_name(f"parameter of {model.name}", name, model.names)
+            raise unknown_name("parameter", name, model.names, of=model.name)
         if not 0 < share < inf:
             raise ConfigurationError(
                 f"wanted {name} = {share}: a relative standard uncertainty is a positive number; "

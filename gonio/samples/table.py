@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gonio.errors import ConfigurationError, DataError
+from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.geometry import Directions
 from gonio.samples.record import ANGLES, PER_SAMPLE, SampleRecord
 
@@ -49,12 +48,7 @@ def from_frame(frame: pd.DataFrame, angles: AngleUnit) -> dict[str, Any]:
     columns = (*ANGLES, *NAMES.values())
     for name in frame.columns:
         if name not in columns:
-            near = get_close_matches(str(name).lower(), columns, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise DataError(
-                f"unknown column {name!r}: {hint}Allowed: {', '.join(columns)}; leave others out.",
-                value=name,
-            )
+            raise DataError(str(unknown_name("column", str(name), columns)), value=name)
     missing = [name for name in (*ANGLES, "brdf") if name not in frame.columns]
     if missing:
         raise DataError(

@@ -263,7 +263,7 @@ class TestWhatCanBeKnown:
 
 
 class TestRefusals:
-    def test_mirrored_pictures_are_told(self):
+    def test_mirrored_pictures_are_reported(self):
         _, true = truth("ellipsoid")
         for axis, sides in ((0, "left and right"), (1, "top and bottom")):
             sign = np.where(np.arange(2) == axis, -1, 1)

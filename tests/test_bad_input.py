@@ -105,8 +105,8 @@ def test_copies_count_once():
     assert b.parameters["rho"].stderr == a.parameters["rho"].stderr
     assert b.n_samples == N
     assert (
-        "40 of 80 samples are exact copies of others (same directions and value); they tell "
-        "nothing new and were counted once." in b.warnings
+        "40 of 80 samples are exact copies of others (same directions and value); they add "
+        "no information and were counted once." in b.warnings
     )
     assert not any("copies" in text for text in a.warnings)
 
@@ -219,7 +219,7 @@ def test_the_terminal_shows_one_sentence_and_no_traceback(fit_of, lines, text):
     assert "Traceback" not in err
 
 
-def test_copies_and_missing_noise_are_told_at_the_terminal(fit_of):
+def test_copies_and_missing_noise_are_reported_at_the_terminal(fit_of):
     code, out, _ = fit_of([HEADER, *rows(), *rows()])
     assert code == 0
     assert "warning: 9 of 18 samples are exact copies of others" in out

@@ -154,7 +154,7 @@ def test_a_surface_without_a_lobe_has_no_width_of_it(seen):
     assert np.isfinite(found.stderr[found.status == 0, 0]).all()
 
 
-def test_a_value_on_a_bound_is_told_and_has_no_uncertainty(seen):
+def test_a_value_on_a_bound_is_reported_and_has_no_uncertainty(seen):
     values, u = stack("lambert", [{"rho": 1.0}] * 2, seen, noise=1e-3)
     found = fit_texels(seen, values * [[0.5], [1.1]], "lambert", u=u)
     assert found.at_bound[:, 0].tolist() == [0, 1]

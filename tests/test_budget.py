@@ -88,7 +88,7 @@ def test_sources_add_in_squares_and_shares_to_one():
     assert acts["lamp"] == "factor and offset"
 
 
-def test_what_a_term_has_in_common_is_told_from_its_groups():
+def test_what_a_term_has_in_common_follows_from_its_groups():
     samples = hemisphere()
     incidence = samples.image // 2
     groups = {

@@ -410,7 +410,7 @@ def test_check_of_a_material_in_degrees():
     assert uniform["n_evaluations"] > 1000
 
 
-def test_gain_of_energy_is_told_and_fails_nothing():
+def test_gain_of_energy_is_reported_and_fails_nothing():
     result = run("ward", "-p", "rho_d=0.9", "-p", "rho_s=0.9")
     assert result.exit_code == 0
     assert "above 1 at 0, 30, 45, 60" in result.stdout
@@ -474,6 +474,6 @@ def test_select_takes_one_wavelength(tmp_path):
         (["a.csv", "--select", "650"], ConfigurationError, "give KEY=VALUE, for instance"),
     ],
 )
-def test_wrong_usage_is_told(arguments, error, match):
+def test_wrong_usage_is_reported(arguments, error, match):
     with pytest.raises(error, match=match):
         run(*arguments)

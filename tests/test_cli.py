@@ -184,7 +184,7 @@ def test_settings_that_are_refused(gonio, tmp_path, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_angles_out_of_range_are_told_in_degrees(gonio, tmp_path):
+def test_angles_out_of_range_are_reported_in_degrees(gonio, tmp_path):
     code, out, err = gonio(
         "simulate", "--model", "oren_nayar", "-p", "sigma=100", "-o", tmp_path / "s"
     )

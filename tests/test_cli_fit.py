@@ -147,7 +147,7 @@ def test_a_fit_that_misses_its_checks_leaves_with_1(gonio, table, monkeypatch):
         ((), 2, "Missing option '--model'"),
     ],
 )  # fmt: skip
-def test_mistakes_are_told(gonio, table, words, code, text):
+def test_mistakes_are_reported(gonio, table, words, code, text):
     found, out, err = gonio("fit", table(), *words)
     assert found == code
     assert out == ""

@@ -128,7 +128,7 @@ def test_true_parameters_of_channels_stand_beside(gonio, tmp_path):
         (("--share", "alpha", "--select", "wavelength<480"), "is written wavelength=..480"),
     ],
 )  # fmt: skip
-def test_mistakes_are_told(gonio, paint, words, text):
+def test_mistakes_are_reported(gonio, paint, words, text):
     code, out, err = gonio("fit", paint(), *WARD, *words)
     assert (code, out) == (2, "")
     assert text in " ".join(err.split())
@@ -185,7 +185,7 @@ def test_report_tells_of_one_part(gonio, joint, tmp_path):
     ) in " ".join(err.split())
 
 
-def test_a_part_that_is_not_there_is_told(gonio, joint, paint, tmp_path):
+def test_a_part_that_is_not_there_is_reported(gonio, joint, paint, tmp_path):
     code, _, err = gonio("plot", joint, "--select", "wavelength=500")
     assert code == 2
     assert "no part of the fit is wavelength=500; its parts are 450 nm, 550 nm, 650 nm." in err
@@ -215,7 +215,7 @@ def test_wavelengths_are_selected_by_range_and_list(wanted, kept):
     assert formats.choose(samples, {"wavelength": wanted}).value.tolist() == kept
 
 
-def test_ranges_without_samples_are_told():
+def test_ranges_without_samples_are_reported():
     nm = np.array([450.0, 500.0])
     samples = BRDFSamples(Directions(nm / 1e3, 0.0, nm / 1e3, 0.0), nm, wavelength_nm=nm)
     for wanted, text in (

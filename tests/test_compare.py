@@ -70,7 +70,7 @@ def test_the_true_model_comes_first_by_every_criterion(name, truth, rival):
     )
 
 
-def test_noise_of_unknown_size_is_told_by_the_scatter():
+def test_noise_of_unknown_size_is_estimated_from_the_scatter():
     found = compare(scans("ward_duer", WARD, stated=False), ["ward", "ward_duer"])
     assert found.best.model == "ward_duer"
     assert found.weights == "none"
@@ -84,7 +84,7 @@ def test_noise_of_unknown_size_is_told_by_the_scatter():
         found.conclusion
     )
     assert "the scatter of its weighted residuals" in found.notes[0]
-    assert "Misfit counts as noise in it" in found.notes[0]
+    assert "This noise includes the misfit" in found.notes[0]
 
 
 def test_errors_that_the_samples_state_are_the_noise(matt, matt_compared):
@@ -92,13 +92,13 @@ def test_errors_that_the_samples_state_are_the_noise(matt, matt_compared):
     far = replace(matt, u_independent=matt.u_independent / 3)
     found = compare(far, ["oren_nayar", "lambert"])
     assert found.noise_scale == pytest.approx(3, rel=0.1)
-    assert "Misfit counts as noise in it" in found.notes[0]
+    assert "This noise includes the misfit" in found.notes[0]
     # Scaled back to the scatter, the scores are those of the uncertainties as they were.
     same = matt_compared.entry("lambert").held_out
     assert found.entry("lambert").held_out.value == pytest.approx(same.value, abs=2)
 
 
-def test_a_parameter_that_is_zero_is_not_told_from_none(matt_compared):
+def test_a_parameter_that_is_zero_is_not_distinguished_from_none(matt_compared):
     other = matt_compared.entries[1]
     assert not other.held_out.told_apart
     assert "cannot distinguish" in matt_compared.conclusion
@@ -106,7 +106,7 @@ def test_a_parameter_that_is_zero_is_not_told_from_none(matt_compared):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_axes_of_an_isotropic_surface_are_not_told_apart(seed):
+def test_axes_of_an_isotropic_surface_are_not_distinguished(seed):
     samples = scans("ward_isotropic", ISOTROPIC, seed=seed)
     found = compare(samples, ["ward_isotropic", "ward"])
     assert not found.entries[1].held_out.told_apart

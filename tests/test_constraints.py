@@ -246,7 +246,7 @@ def test_a_comparison_fixes_what_models_have():
          "rho + rho_d is fixed to 1.2, and rho + rho_d + rho_s is at most 1; fix smaller values."),
     ],
 )  # fmt: skip
-def test_bad_constraints_are_told_in_a_sentence(model, words, text):
+def test_bad_constraints_are_reported_in_a_sentence(model, words, text):
     with pytest.raises(ConfigurationError) as error:
         fit(in_plane(40), model=model, **words)
     assert text in str(error.value)

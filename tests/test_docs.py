@@ -96,7 +96,7 @@ def test_a_sentence_that_begins_like_a_formula_is_a_sentence():
     assert read(made) == "R = 2 (n.i) n - i is the mirror direction, so R.r = 1."
 
 
-def test_formulas_and_the_meaning_of_symbols_are_told_apart():
+def test_formulas_and_the_meaning_of_symbols_are_separated():
     made = model_pages.block("D = c^2\nG = min[1, 2]\nF: Fresnel's reflectance\nof a <facet>")
     assert (
         made

@@ -235,7 +235,7 @@ def test_a_ring_that_is_too_bright_is_found_where_it_is():
         assert place.relative == pytest.approx(0.08, abs=0.015)
 
 
-def test_chi_squared_that_is_too_small_is_told():
+def test_chi_squared_that_is_too_small_is_reported():
     samples = noisy("lambert", {"rho": 0.5}, directions(200))
     boast = BRDFSamples(samples.directions, samples.value, u_independent=2 * samples.u_independent)
     report = residuals.examine(Minimum.of(*fitted(boast, "lambert", {"rho": 0.5})))

@@ -326,7 +326,7 @@ def rho_s_marginal(problem, scale, n=70):
     return np.sqrt(second - first**2)
 
 
-def test_a_standard_deviation_that_rests_on_few_far_draws_is_not_told():
+def test_a_standard_deviation_that_rests_on_few_far_draws_is_not_reported():
     """A thousandth of the probability, at a tenth of the range, may be half of the variance."""
     drawn_more = 0
     for seed in (15, 31, 63):

@@ -236,7 +236,7 @@ def test_a_chain_too_short_says_so(monkeypatch):
     result.to_json()
 
 
-def test_progress_is_told():
+def test_progress_is_reported():
     told = []
     gonio.fit(
         noisy("lambert", {"rho": 0.4}, n=50), model="lambert", posterior=True,

@@ -107,7 +107,7 @@ def test_csv_column_order_mark_and_line_ends_do_not_matter(put):
     same(plain, formats.read(other))
 
 
-def test_csv_is_told_by_content(put):
+def test_csv_is_recognised_by_content(put):
     samples = formats.read(put(f"{HEADER}\n10,20,30,40,0.5\n", "samples.dat"))
     assert samples.metadata["format"] == "gonio_csv"
 

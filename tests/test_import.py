@@ -905,7 +905,7 @@ def test_models_that_no_standard_follows(folder, lines, message):
 # ---------------------------------------------------------------- faults of the frames
 
 
-def test_exchanged_exposures_are_told_with_their_files(folder):
+def test_exchanged_exposures_are_reported_with_their_files(folder):
     a, b = folder / "white/30_32_1.png", folder / "white/30_256_1.png"
     a.rename(folder / "x.png")
     b.rename(a)

@@ -242,10 +242,10 @@ def test_different_roughness_is_refused():
     assert result.sharing.refused
     assert result.sharing.p_value < 1e-6
     assert result.sharing.dof == 2
-    told = [text for text in result.warnings if text.startswith("the data reject one alpha")]
-    assert len(told) == 1
-    assert "of which noise explains about 2" in told[0]
-    assert "Farthest is 650 nm: alpha alone 0.1" in told[0]
+    rejected = [text for text in result.warnings if text.startswith("the data reject one alpha")]
+    assert len(rejected) == 1
+    assert "of which noise explains about 2" in rejected[0]
+    assert "The farthest is 650 nm: alpha alone is 0.1" in rejected[0]
     value, u = result.parts[2].alone["alpha"]
     assert abs(value - 0.17) < 4 * u
     # The misfit is that of the sharing, not of the model.
@@ -465,7 +465,7 @@ def test_a_part_is_a_fit_of_one_brdf():
         result.part("65 nm")
 
 
-def test_an_unknown_name_is_told_with_the_nearest():
+def test_an_unknown_name_is_reported_with_the_nearest():
     with pytest.raises(ConfigurationError, match=r"unknown parameter 'alpah' of ward_isotropic: "
                        r"did you mean 'alpha'\?"):  # fmt: skip
         gonio.fit(spectrum(n=20), model="ward_isotropic", share=("alpah",))

@@ -254,7 +254,7 @@ def test_the_uncertainty_of_theta_is_that_of_pixels(repeated, theta_deg):
     assert 0.3 < mean_square / stated < 1.87
 
 
-def test_noise_is_told_by_the_residuals(repeated):
+def test_noise_is_estimated_from_the_residuals(repeated):
     # rms of the distances is 0.1 sqrt(2) times sqrt(1 - figures / coordinates).
     fit = repeated[0]
     used = 1 - (7 + 6 * len(fit.views)) / (2 * fit.n_corners)
@@ -276,7 +276,7 @@ def test_it_is_opencv_s_optimum_below_the_horizon():
     assert list(fisheye.difference_deg) == [60, 75, 85]
 
 
-def test_opencv_s_failures_are_told(monkeypatch):
+def test_opencv_s_failures_are_reported(monkeypatch):
     fit = fit_lens(views_of(drawn_poses(5, rng_of(8)), rng_of(9), 0.1), GUESS)
 
     def fails(*_args, **_flags):

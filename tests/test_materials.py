@@ -92,7 +92,7 @@ def test_the_model_takes_the_parameters(name):
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_the_source_is_told(name):
+def test_the_source_is_reported(name):
     material = materials.get(name)
     assert material.title
     assert material.note

@@ -472,7 +472,7 @@ class TestPackages:
             cached.cache_clear()
 
     @pytest.mark.usefixtures("entries")
-    def test_what_packages_announce_is_there_and_what_fails_is_told_once(self, caplog):
+    def test_what_packages_announce_is_there_and_what_fails_is_reported_once(self, caplog):
         with caplog.at_level(logging.WARNING):
             assert "facets_installed" in models.names()
             assert models.get("facets_installed").kernel.function is lobe

@@ -137,7 +137,7 @@ def drawn(name: str, k: int, where: tuple[float, float]) -> Draws:
 
 
 @every_case
-def test_draws_have_the_density_that_is_told(name, k, where):
+def test_draws_have_the_density_that_is_returned(name, k, where):
     model = models.get(name)
     found = compared(model, parameters(model, k), where, drawn(name, k, where))
     assert found.p_value > LEVEL
@@ -220,7 +220,7 @@ LARGEST = {
 @pytest.mark.parametrize("name", LARGEST)
 @pytest.mark.parametrize("theta", [0, 60, 85, 89.9])
 @pytest.mark.parametrize("width", ["narrow", "wide"])
-def test_weights_of_a_lobe_have_the_bound_that_is_told(name, theta, width):
+def test_weights_of_a_lobe_have_the_bound_that_is_stated(name, theta, width):
     given, largest = LARGEST[name]
     model = models.get(name)
     wide = {q.name: q.upper for q in model.parameters if q.scale == "log" and q.name != "n"}

@@ -168,7 +168,7 @@ def test_a_notebook_that_is_done_is_not_run_again_until_it_changes(toy, capsys):
     assert "1 NOT AS EXPECTED" in capsys.readouterr().err
 
 
-def test_a_notebook_that_fails_is_told_with_its_error(toy, capsys):
+def test_a_notebook_that_fails_is_reported_with_its_error(toy, capsys):
     (toy / "notebooks" / "toy.py").write_text("raise ArithmeticError('no sum')\n", encoding="utf-8")
     assert run.main(["--quick"]) == 1
     told = capsys.readouterr().err

@@ -394,7 +394,7 @@ def test_noise_of_unknown_size_is_found_beside_the_draws():
 # ----------------------------------------------------------------------- pulls and names
 
 
-def test_a_budget_that_is_too_small_is_told():
+def test_a_budget_that_is_too_small_is_reported():
     samples, _ = measured(draws=[0.5, 1.0, -8.0, 6.0, 0.5, -9.0])
     warnings = learnt(samples).warnings
     (azimuth,) = (w for w in warnings if "'azimuth'" in w)

@@ -318,7 +318,7 @@ def test_two_digits_of_the_uncertainty_are_shown(value, stderr, text):
     assert recovered(Estimate(value, stderr, "", None, None, None)) == text
 
 
-def test_a_bound_is_told_with_the_unit():
+def test_a_bound_is_reported_with_the_unit():
     at_bound = Estimate(0.5, None, "deg", "lower", None, None)
     assert recovered(at_bound) == "0.5 ° (at its lower bound)"
 

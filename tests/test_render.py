@@ -649,7 +649,7 @@ def test_a_colour_becomes_its_luminance(tmp_path):
         np.testing.assert_allclose(read_map(tmp_path / name), expected, rtol=0.01)
 
 
-def test_files_that_cannot_be_read_or_written_are_told(tmp_path):
+def test_files_that_cannot_be_read_or_written_are_reported(tmp_path):
     (tmp_path / "a.pfm").write_bytes(b"Pf\n8 4\n-1\n123")
     (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE")
     (tmp_path / "a.npy").write_bytes(b"junk")

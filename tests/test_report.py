@@ -182,7 +182,7 @@ def test_warnings_come_before_everything_else(inputs):
     assert text.index("has NOT converged") < text.index("mind the gap") < text.index("Parameters")
 
 
-def test_findings_and_history_are_told(inputs):
+def test_findings_and_history_are_reported(inputs):
     source = {**inputs.fit.source, "findings": [{"severity": "warning", "what": "dim frame"}]}
     text = Page(page(replace(inputs, fit=replace(inputs.fit, source=source)))).text
     assert "severity: warning; what: dim frame" in text

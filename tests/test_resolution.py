@@ -306,7 +306,7 @@ def test_picture_of_an_instrument_that_sees_nothing():
         (("ideal12", "--resolution", "--map", "no/x.png"), DataError, "the folder no does not"),
     ],
 )
-def test_mistakes_are_told(words, error, text):
+def test_mistakes_are_reported(words, error, text):
     with pytest.raises(error, match=text):
         raise run(*words).exception
 

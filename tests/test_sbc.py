@@ -39,13 +39,13 @@ def test_ranks_are_uniform_and_intervals_hold(sbc):
         assert float(line["least_squares_95"]) > 95 - 4 * 2.2
 
 
-def test_noise_told_twice_as_large_is_found_out(sbc):
+def test_noise_stated_twice_as_large_is_detected(sbc):
     for line in lines(sbc, "double", 40):
         assert {"rank_p", "posterior_68_p"} & set(sbc.failures(line)), line
         assert float(line["posterior_68"]) > 82  # as 95 % of normal errors would
 
 
-def test_an_error_of_scale_that_is_not_told_is_found_out(sbc):
+def test_an_error_of_scale_that_is_not_stated_is_detected(sbc):
     found = {line["parameter"]: line for line in lines(sbc, "scale", 40)}
     # It moves all of f alike: the reflectance that is known best tells most.
     assert "posterior_95_p" in sbc.failures(found["rho_d"])

@@ -250,7 +250,7 @@ def test_the_entry_patch_is_masked():
     assert np.all(nowhere.f_per_rate == 0)
 
 
-def test_dead_and_hot_pixels_are_masked_and_told_apart():
+def test_dead_and_hot_pixels_are_masked_and_distinguished():
     rng = np.random.default_rng(3)
     B, S = flat(1e3, 1.0, rng), flat(1e5, 1.0, rng)
     S.value[10, 10] = B.value[10, 10] + 100  # sees nothing

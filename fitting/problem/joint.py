@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import unknown_name
-from gonio.fitting.problem import by_jacobian, unknowns
+from gonio.fitting.problem import by_jacobian, unknowns, weighting
 from gonio.fitting.problem.channels import Channel
 from gonio.fitting.problem.joined_samples import cells_within, joined, joined_cells
 from gonio.fitting.problem.losses import Loss
 from gonio.fitting.problem.penalised import PenalisedProblem
-from gonio.fitting.problem.protocol import Problem, Weights
-from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
+from gonio.fitting.problem.shared_change import shared_changes
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
@@ -341,18 +341,13 @@ class JointProblem:
         return by_jacobian.products(self, points, rows)
 
     def weighted(self, columns: FloatArray) -> FloatArray:
-        return columns * self.inverse_variance[:, None]
+        return weighting.weighted(columns, self.inverse_variance)
 
-    def profiled_draws(
-        self, p: FloatArray, determined: NDArray[np.bool_]
-    ) -> list[tuple[str, int | None, float, float]]:
+    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
-        if not self.samples.shared:
-            return []
-        f = self.values(p)
-        return [shared_change(self, term, p, f) for term in self.samples.shared]
+        return shared_changes(self, p)
 
 
 def base_name(name: str) -> str:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.problem import by_jacobian
 from gonio.fitting.problem.losses import Loss
-from gonio.fitting.problem.protocol import Problem, Weights
+from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import draw_slope
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
@@ -243,9 +243,7 @@ class NuisanceProblem:
         """Estimate of every draw where the parameters are p, in units of its prior's sd."""
         return self._absorbed(self._residual(p)) / self.noise
 
-    def profiled_draws(
-        self, p: FloatArray, determined: NDArray[np.bool_]
-    ) -> list[tuple[str, int | None, float, float]]:
+    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         """Name, group, estimate and standard uncertainty of every profiled draw.
 
         The covariance of all draws is that of parameters and draws together: (I + U^T W U/s^2 -
@@ -263,7 +261,7 @@ class NuisanceProblem:
             inner -= cross @ square @ cross.T
         sd = np.sqrt(np.diag(np.linalg.inv((inner + inner.T) / 2)).clip(0, 1))
         z = self.draws(p)
-        draws: list[tuple[str, int | None, float, float]] = []
+        draws: list[ProfiledDraw] = []
         for term, draw in zip(self.terms, self.draw, strict=True):
             first = int(draw.min())
             draws += [

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.problem import by_jacobian
 from gonio.fitting.problem.losses import Loss
-from gonio.fitting.problem.protocol import Problem, Weights
+from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
@@ -180,9 +180,7 @@ class PenalisedProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return self.data.weighted(columns)
 
-    def profiled_draws(
-        self, p: FloatArray, determined: NDArray[np.bool_]
-    ) -> list[tuple[str, int | None, float, float]]:
+    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return self.data.profiled_draws(p, determined)
 
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:

@@ -15,6 +15,7 @@ from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
 
 Weights = Literal["none", "cos", "coscos", "sd"]
+ProfiledDraw = tuple[str, int | None, float, float]  # see `Problem.profiled_draws`
 
 
 class Problem(Protocol):
@@ -156,9 +157,7 @@ class Problem(Protocol):
     def weighted(self, columns: FloatArray) -> FloatArray:
         """Columns (N, k) times the inverse covariance of the samples."""
 
-    def profiled_draws(
-        self, p: FloatArray, determined: NDArray[np.bool_]
-    ) -> list[tuple[str, int | None, float, float]]:
+    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         """Name, group, estimate and standard uncertainty of every profiled draw where there is one.
 
         `determined` (P,) are the unknowns that the data determine at the minimum p.

@@ -12,8 +12,8 @@ from gonio.errors import unknown_name
 from gonio.fitting.problem import unknowns
 from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.losses import Loss
-from gonio.fitting.problem.protocol import Problem, Weights
-from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
+from gonio.fitting.problem.shared_change import shared_changes
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
@@ -226,16 +226,11 @@ class ReducedProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return self.whole.weighted(columns)
 
-    def profiled_draws(
-        self, p: FloatArray, determined: NDArray[np.bool_]
-    ) -> list[tuple[str, int | None, float, float]]:
+    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
-        if not self.samples.shared:
-            return []
-        f = self.values(p)
-        return [shared_change(self, term, p, f) for term in self.samples.shared]
+        return shared_changes(self, p)
 
     def _squared(self, h: FloatArray) -> FloatArray:
         """E^T h E."""

@@ -44,6 +44,14 @@ def shared_change(problem: Problem, term: SharedTerm, p: FloatArray, f: FloatArr
     return term.change(f)
 
 
+def shared_changes(problem: Problem, p: FloatArray) -> list[FloatArray]:
+    """`Problem.shared_changes` of a problem that profiles no shared error."""
+    if not problem.samples.shared:
+        return []
+    f = problem.values(p)
+    return [shared_change(problem, term, p, f) for term in problem.samples.shared]
+
+
 def _shifted(problem: Problem, shift: FloatArray, p: FloatArray) -> FloatArray:
     """Half the difference of the model with all viewing directions moved by +shift and -shift."""
     step = np.repeat(shift, np.diff(problem.cells.offsets), axis=0)

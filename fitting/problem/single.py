@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from gonio.errors import DataError
 from gonio.fitting.problem import by_jacobian, losses, unknowns, weighting
 from gonio.fitting.problem.losses import CHI2, Loss
-from gonio.fitting.problem.protocol import Problem, Weights
-from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
+from gonio.fitting.problem.shared_change import shared_changes
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.fitting.problem.viewed_samples import PASS, ViewedSamples, read_only
 from gonio.geometry import Directions, FloatArray
@@ -295,18 +295,13 @@ class SingleProblem:
         return np.asarray(parts.sum(axis=0))
 
     def weighted(self, columns: FloatArray) -> FloatArray:
-        return columns * self.inverse_variance[:, None]
+        return weighting.weighted(columns, self.inverse_variance)
 
-    def profiled_draws(
-        self, p: FloatArray, determined: NDArray[np.bool_]
-    ) -> list[tuple[str, int | None, float, float]]:
+    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
-        if not self.samples.shared:
-            return []
-        f = self.values(p)
-        return [shared_change(self, term, p, f) for term in self.samples.shared]
+        return shared_changes(self, p)
 
     @cached_property
     def _inverse(self) -> FloatArray:

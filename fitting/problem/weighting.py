@@ -99,3 +99,8 @@ def finds_scale(weights: Weights, law: Loss) -> bool:
 def follow_model(samples: BRDFSamples, weights: Weights, law: Loss) -> bool:
     """Whether the weights depend on the model's values."""
     return (weights == "sd" and samples.noise_slope is not None) or finds_scale(weights, law)
+
+
+def weighted(columns: FloatArray, inverse_variance: FloatArray) -> FloatArray:
+    """Columns (N, k), each row times the weight of its sample."""
+    return columns * inverse_variance[:, None]

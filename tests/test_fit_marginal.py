@@ -141,6 +141,10 @@ def test_the_loops_read_as_plain_python():
     from gonio.kernels import sums
     from gonio.kernels.kept import kept_around
     from gonio.kernels.moments import moments_around
+    from gonio.kernels.pairs import pairs_around
+
+    def unpack(p):
+        return (p[0],)
 
     def store(both, above, gradient, k):
         gradient[0, k] = both[1] if above else 0.0
@@ -151,10 +155,10 @@ def test_the_loops_read_as_plain_python():
     kept = kept_around(
         lambda xi, yi, zi, xr, yr, zr: (zi,), keep, lambda rows, k, q: (q[0], 1.0), store
     )
+    pairs = pairs_around(unpack, lambda xi, yi, zi, xr, yr, zr, q: (q[0], 1.0), store)
     moments = moments_around(
-        unpack=lambda p: (p[0],),
-        call=lambda xi, yi, zi, xr, yr, zr, q: (q[0], 1.0),
-        store=store,
+        unpack=unpack,
+        evaluate_gradient=pairs.evaluate_gradient,
         n_amplitudes=1,
         n_kept=1,
         keep_geometry=kept.keep_geometry,

@@ -30,6 +30,7 @@ from gonio.kernels.copies import suspects
 from gonio.kernels.kept import kept_around
 from gonio.kernels.loops import Loops, loops_around
 from gonio.kernels.moments import MomentLoops, moments_around
+from gonio.kernels.pairs import PairLoops, pairs_around
 from gonio.kernels.split import split
 from gonio.kernels.template import any_order, module_text, read
 from gonio.kernels.texels import TexelLoops, texels_around
@@ -72,7 +73,7 @@ def of_a_constant_surface() -> dict[str, object]:
     return {
         "unpack": unpack,
         "call": call,
-        "store": store,
+        **vars(pairs_around(unpack, call, store)),
         "n_kept": 1,
         **vars(kept),
         "add_products": sums.add_products,
@@ -145,11 +146,17 @@ class TestLoops:
         np.testing.assert_array_equal(gradient[0], np.where(w_r[:, 2] > 0, 1, 0))
 
     @pytest.mark.parametrize(
-        ("template", "record"),
-        [(loops_around, Loops), (moments_around, MomentLoops), (texels_around, TexelLoops)],
+        ("templates", "record"),
+        [
+            ([pairs_around], PairLoops),
+            ([pairs_around, loops_around], Loops),
+            ([moments_around], MomentLoops),
+            ([texels_around], TexelLoops),
+        ],
     )
-    def test_every_loop_of_a_template_reaches_its_callers(self, template, record):
-        public = {name for name in read(template).functions if not name.startswith("_")}
+    def test_every_loop_of_a_template_reaches_its_callers(self, templates, record):
+        functions = [name for template in templates for name in read(template).functions]
+        public = {name for name in functions if not name.startswith("_")}
         # What a texel's loop alone calls is handed to nobody.
         assert public - {"grid_sums"} == {f.name for f in fields(record)} - {"KEPT"}
 

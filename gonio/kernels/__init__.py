@@ -1,7 +1,6 @@
 """Compiled loops over a scalar reflectance kernel, and the cache that keeps them between runs."""
 
 from gonio.kernels.build import (
-    SingleLoops,
     loops_for,
     moment_loops_for,
     single_loops_for,
@@ -9,13 +8,14 @@ from gonio.kernels.build import (
 )
 from gonio.kernels.loops import Loops
 from gonio.kernels.moments import MomentLoops
+from gonio.kernels.pairs import PairLoops
 from gonio.kernels.texels import TexelLoops
 from gonio.kernels.threads import default_threads, map_blocks, pair_block
 
 __all__ = [
     "Loops",
     "MomentLoops",
-    "SingleLoops",
+    "PairLoops",
     "TexelLoops",
     "default_threads",
     "loops_for",

@@ -95,36 +95,32 @@ def loops_of(kernel: ArrayKernel) -> Loops:
         gradient: Array,
     ) -> None:  # fmt: skip
         cells = _Cells(w_i, w_r, weight, offsets, first, first + len(out))
-        f, jac = kernel.lit_gradient(cells.w_i, cells.w_r, p)
-        out[:], gradient[:] = cells.summed(f), cells.summed(jac)
+        out[:], gradient[:] = cells.gradient(kernel, p)
 
     def normal_equations(
         s: Array, value: Array, inverse_variance: Array, points: Array, rows: Array, first: int,
         last: int, out: Array,
     ) -> None:  # fmt: skip
-        w_i, w_r = s[:3, first:last].T, s[3:, first:last].T
         for b, p in enumerate(points):
-            f, jac = kernel.lit_gradient(w_i, w_r, p)
+            f, jac = kernel.lit_gradient(*_vectors(s[:, first:last]), p)
             columns = np.column_stack([value[first:last] - f, jac])[:, rows]
-            out[b] = (columns * inverse_variance[first:last, None]).T @ columns
+            out[b] = _products(columns, inverse_variance[first:last])
 
     def cell_normal_equations(
         w_i: Array, w_r: Array, weight: Array, offsets: Array, value: Array,
         inverse_variance: Array, p: Array, rows: Array, first: int, last: int, out: Array,
     ) -> None:  # fmt: skip
         cells = _Cells(w_i, w_r, weight, offsets, first, last)
-        f, jac = kernel.lit_gradient(cells.w_i, cells.w_r, p)
-        columns = np.column_stack([value[first:last] - cells.summed(f), cells.summed(jac)])
-        columns = columns[:, rows]
-        out[0] = (columns * inverse_variance[first:last, None]).T @ columns
+        f, jac = cells.gradient(kernel, p)
+        columns = np.column_stack([value[first:last] - f, jac])[:, rows]
+        out[0] = _products(columns, inverse_variance[first:last])
 
     def sums_of_squares(
         s: Array, value: Array, inverse_variance: Array, points: Array, first: int, last: int,
         out: Array,
     ) -> None:  # fmt: skip
-        w_i, w_r = s[:3, first:last].T, s[3:, first:last].T
         for b, p in enumerate(points):
-            r = value[first:last] - kernel.lit_values(w_i, w_r, p)
+            r = value[first:last] - kernel.lit_values(*_vectors(s[:, first:last]), p)
             out[b] = inverse_variance[first:last] @ r**2
 
     def batch_chi2(
@@ -160,12 +156,11 @@ def moment_loops_of(kernel: ArrayKernel, linear: tuple[int, ...]) -> MomentLoops
     upper = np.triu_indices(1 + len(some))
 
     def sums(f: Array, df: Array, value: Array, weight: Array) -> FloatArray:
-        columns = np.column_stack([value - f, df])
-        return np.asarray(((columns * weight[:, None]).T @ columns)[upper])
+        return _products(np.column_stack([value - f, df]), weight)[upper]
 
     def moments(components: Array, value: Array, weight: Array, batch: Array, out: Array) -> None:
         for b, p in enumerate(batch):
-            f, jac = kernel.lit_gradient(components[:3].T, components[3:].T, p)
+            f, jac = kernel.lit_gradient(*_vectors(components), p)
             out[b] = sums(f, jac[:, some], value, weight)
 
     def factored_moments(
@@ -173,7 +168,7 @@ def moment_loops_of(kernel: ArrayKernel, linear: tuple[int, ...]) -> MomentLoops
         weight: Array, batch: Array, out: Array,
     ) -> None:  # fmt: skip
         for b, p in enumerate(batch):
-            f, jac = kernel.lit_gradient(components[:3].T, components[3:].T, p)
+            f, jac = kernel.lit_gradient(*_vectors(components), p)
             scale = factor[:, 0] + np.einsum("jin,i->jn", factor[:, 1:], steps[b])
             rest = f - jac[:, some] @ p[linear]
             df = jac[:, some] * scale[1:].T
@@ -185,8 +180,8 @@ def moment_loops_of(kernel: ArrayKernel, linear: tuple[int, ...]) -> MomentLoops
     ) -> None:  # fmt: skip
         cells = _Cells(w_i, w_r, share, offsets, first, first + len(value))
         for b, p in enumerate(batch):
-            f, jac = kernel.lit_gradient(cells.w_i, cells.w_r, p)
-            out[b] = sums(cells.summed(f), cells.summed(jac[:, some]), value, weight)
+            f, jac = cells.gradient(kernel, p)
+            out[b] = sums(f, jac[:, some], value, weight)
 
     return MomentLoops(
         moments=moments, factored_moments=factored_moments, cell_moments=cell_moments
@@ -200,11 +195,9 @@ def texel_loops_of(kernel: ArrayKernel, small_fits: Any) -> TexelLoops:
     """
     from gonio.kernels import fastmath, sums
 
-    def keep_geometry(*arguments: Array) -> bool:
-        *components, rows, lit = arguments
-        above = (components[2] > 0) & (components[5] > 0)
-        for row, component in zip(rows, components, strict=True):
-            row[:] = component
+    def keep_geometry(s: Array, first: int, last: int, rows: Array, lit: Array) -> bool:
+        rows[:] = s[:, first:last]
+        above = (rows[2] > 0) & (rows[5] > 0)
         # Pairs that are not lit are evaluated along the normal and have weight 0.
         rows[:, ~above] = np.array([0.0, 0, 1, 0, 0, 1])[:, None]
         lit[:] = above
@@ -213,7 +206,7 @@ def texel_loops_of(kernel: ArrayKernel, small_fits: Any) -> TexelLoops:
     def kept_gradient(
         rows: Array, lit: Array, all_lit: bool, q: Array, out: Array, gradient: Array
     ) -> None:
-        out[:], jac = kernel.lit_gradient(rows[:3].T, rows[3:].T, q)
+        out[:], jac = kernel.lit_gradient(*_vectors(rows), q)
         gradient[:] = jac.T
 
     return texels_around(
@@ -247,6 +240,21 @@ class _Cells:
         out = np.zeros((self.n, *f.shape[1:]))
         np.add.at(out, self.owner, (self.weight * f.T).T)
         return out
+
+    def gradient(self, kernel: ArrayKernel, p: Array) -> tuple[FloatArray, FloatArray]:
+        """f (n,) of the samples and its derivatives (n, parameters)."""
+        f, jac = kernel.lit_gradient(self.w_i, self.w_r, p)
+        return self.summed(f), self.summed(jac)
+
+
+def _products(columns: Array, weight: Array) -> FloatArray:
+    """Weighted products of all columns (n, k) with each other."""
+    return np.asarray((columns * weight[:, None]).T @ columns)
+
+
+def _vectors(components: Array) -> tuple[Array, Array]:
+    """Vectors (n, 3) of incidence and reflection from their components (6, n)."""
+    return components[:3].T, components[3:].T
 
 
 def _stacked(x: Array, y: Array, z: Array) -> FloatArray:

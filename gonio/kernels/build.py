@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +28,7 @@ from gonio.kernels.generated import generated_module
 from gonio.kernels.kept import kept_around
 from gonio.kernels.loops import Loops, loops_around
 from gonio.kernels.moments import MomentLoops, moments_around
+from gonio.kernels.pairs import PairLoops, pairs_around
 from gonio.kernels.single import must_be_double, text_in_single
 from gonio.kernels.small_fits import small_fits_of
 from gonio.kernels.sources import definition, ingredients, plain, reached
@@ -101,14 +101,6 @@ Piece = str | Callable[..., Any]  # of a generated file: a text or a template
 Record = TypeVar("Record")
 
 
-@dataclass(frozen=True)
-class SingleLoops:
-    """The loops that take float32 directions and write float32."""
-
-    evaluate: Callable[..., None]
-    evaluate_gradient: Callable[..., None]
-
-
 @cache
 def loops_for(kernel: Callable[..., Any], n_parameters: int) -> Loops:
     """Compiled loops around `kernel(xi, yi, zi, xr, yr, zr, *parameters)`.
@@ -145,7 +137,9 @@ def moment_loops_for(
     header = _header(kernel, n_parameters, stores or ["    pass"])
     header += f"\nn_amplitudes = {len(linear)}\n"
     kept, sums = _kept_pieces(kernel, n_parameters), _dispatch(1 + len(linear))
-    return _compiled_record(MomentLoops, kernel, "_moments", header, *kept, sums, moments_around)
+    return _compiled_record(
+        MomentLoops, kernel, "_moments", header, *kept, sums, pairs_around, moments_around
+    )
 
 
 @cache
@@ -171,24 +165,24 @@ def small_fits(n_parameters: int) -> ModuleType:
 
 
 @cache
-def single_loops_for(kernel: Callable[..., Any], n_parameters: int) -> SingleLoops:
+def single_loops_for(kernel: Callable[..., Any], n_parameters: int) -> PairLoops:
     """`loops_for` float32 directions and results; parameters stay float64.
 
     A kernel that single precision would ruin (`gonio.kernels.single.DOUBLE`), or whose source
     cannot be read, is computed in double by these loops, and rounded.
     """
     if isinstance(kernel, ArrayKernel):
-        return SingleLoops(loops_of(kernel).evaluate, loops_of(kernel).evaluate_gradient)
+        return PairLoops(loops_of(kernel).evaluate, loops_of(kernel).evaluate_gradient)
     if any(must_be_double(f) or definition(f) is None for f in reached(kernel)):
-        return _compiled_record(SingleLoops, kernel, "", *_double(kernel, n_parameters))
+        return _compiled_record(PairLoops, kernel, "", *_double(kernel, n_parameters))
     stores = _all_derivatives(n_parameters, "_float32(0.0)")
     header = _header(kernel, n_parameters, stores, single=True)
-    functions = read(loops_around).functions
+    functions = read(pairs_around).functions
     converted = [
         "\n\n" + DECORATOR + text_in_single(functions[name], (name,))
-        for name in SingleLoops.__dataclass_fields__
+        for name in PairLoops.__dataclass_fields__
     ]
-    return _compiled_record(SingleLoops, kernel, "_single", header, *converted)
+    return _compiled_record(PairLoops, kernel, "_single", header, *converted)
 
 
 def _double(kernel: Callable[..., Any], n_parameters: int) -> list[Piece]:
@@ -196,7 +190,7 @@ def _double(kernel: Callable[..., Any], n_parameters: int) -> list[Piece]:
     header = _header(kernel, n_parameters, _all_derivatives(n_parameters))
     # All columns of a fit, or those of up to two amplitudes.
     sums = _dispatch(2, 3, 1 + n_parameters)
-    return [header, *_kept_pieces(kernel, n_parameters), sums, loops_around]
+    return [header, *_kept_pieces(kernel, n_parameters), sums, pairs_around, loops_around]
 
 
 def _compiled_record(

@@ -35,15 +35,17 @@ def kept_around(
     shape : callable
         `shape(rows, k, q)`: (f, df/dp_0, ...) of column k with the parameters q.
     store : callable
-        As for `gonio.kernels.loops.loops_around`.
+        As for `gonio.kernels.pairs.pairs_around`.
     """
 
-    def keep_geometry(xi, yi, zi, xr, yr, zr, rows, lit):
-        """Numbers (n_kept, n) of n direction pairs; returns whether all are above the horizon.
+    def keep_geometry(s, first, last, rows, lit):
+        """Numbers (n_kept, n) of the pairs first to last, and whether all are above the horizon.
 
-        Pairs at or below the horizon are taken at z = 1; lit (n,) is 0 for them and 1 for the
-        others.
+        s (6, N) holds x, y, z of the directions of incidence, then of reflection. Pairs at or below
+        the horizon are taken at z = 1; lit (n,) is 0 for them and 1 for the others.
         """
+        xi, yi, zi = s[0, first:last], s[1, first:last], s[2, first:last]
+        xr, yr, zr = s[3, first:last], s[4, first:last], s[5, first:last]
         count = 0.0
         for k in range(xi.shape[0]):
             above = zi[k] > 0.0 and zr[k] > 0.0

@@ -43,7 +43,8 @@ class Loops:
 def loops_around(
     unpack: Callable[..., Any],
     call: Callable[..., Any],
-    store: Callable[..., Any],
+    evaluate: Callable[..., Any],
+    evaluate_gradient: Callable[..., Any],
     n_kept: int,
     keep_geometry: Callable[..., Any],
     kept_gradient: Callable[..., Any],
@@ -55,39 +56,15 @@ def loops_around(
 
     Parameters
     ----------
-    unpack : callable
-        `unpack(p)`: the parameter vector as a tuple of scalars, for `call`.
-    call : callable
-        `call(xi, yi, zi, xr, yr, zr, q)`: the model's kernel, (f, df/dp_0, ...).
-    store : callable
-        `store(both, above, gradient, k)`: put the derivatives of pair k into its column, 0 where
-        it is not above the horizon.
+    unpack, call : callable
+        As for `gonio.kernels.pairs.pairs_around`.
+    evaluate, evaluate_gradient : callable
+        Those of `gonio.kernels.pairs`.
     n_kept, keep_geometry, kept_gradient : int, callable, callable
         Repeated evaluation at the same directions, see `gonio.kernels.kept`.
     add_products, mirror, sum_of_squares : callable
         Those of `gonio.kernels.sums`.
     """
-
-    def evaluate(xi, yi, zi, xr, yr, zr, p, out):
-        """f of n direction pairs, given by their components."""
-        q = unpack(p)
-        for k in range(out.shape[0]):
-            above = zi[k] > 0.0 and zr[k] > 0.0
-            a = zi[k] if above else 1.0
-            b = zr[k] if above else 1.0
-            f = call(xi[k], yi[k], a, xr[k], yr[k], b, q)[0]
-            out[k] = f if above else 0.0
-
-    def evaluate_gradient(xi, yi, zi, xr, yr, zr, p, out, gradient):
-        """f, and its derivative by every parameter (parameters, n), in one pass."""
-        q = unpack(p)
-        for k in range(out.shape[0]):
-            above = zi[k] > 0.0 and zr[k] > 0.0
-            a = zi[k] if above else 1.0
-            b = zr[k] if above else 1.0
-            both = call(xi[k], yi[k], a, xr[k], yr[k], b, q)
-            out[k] = both[0] if above else 0.0
-            store(both, above, gradient, k)
 
     def _values(s, n, q):
         """f of the n pairs whose components stand in s[0] to s[5], into s[6]."""
@@ -168,9 +145,7 @@ def loops_around(
         for a in range(first, last, BLOCK):
             e = min(a + BLOCK, last)
             f, slopes = columns[0, : e - a], columns[1:]
-            xi, yi, zi = s[0, a:e], s[1, a:e], s[2, a:e]
-            xr, yr, zr = s[3, a:e], s[4, a:e], s[5, a:e]
-            all_lit = keep_geometry(xi, yi, zi, xr, yr, zr, kept, lit)
+            all_lit = keep_geometry(s, a, e, kept, lit)
             for b in range(points.shape[0]):
                 kept_gradient(kept, lit, all_lit, unpack(points[b]), f, slopes)
                 for t in range(e - a):

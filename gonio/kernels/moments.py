@@ -5,8 +5,8 @@ f is linear in a model's amplitudes a (`Parameter.linear`), so that with d = a -
     chi2(a) = c - 2 g.d + d.H d,   c = sum W r^2,  g_j = sum W r f_j,  H_jk = sum W f_j f_k
 
 where r = y - f at the amplitudes a_ref and f_j = df/da_j. `moments_around` is a template
-(`gonio.kernels.template`) as `loops_around` is; `store` keeps only the derivatives by the
-amplitudes, and the compiler drops the others.
+(`gonio.kernels.template`) as `loops_around` is; only the derivatives by the amplitudes are
+stored, and the compiler drops the others.
 
 A row of the result holds c, g_1 .. g_L, and the upper triangle of H row by row.
 """
@@ -32,8 +32,7 @@ class MomentLoops:
 
 def moments_around(
     unpack: Callable[..., Any],
-    call: Callable[..., Any],
-    store: Callable[..., Any],
+    evaluate_gradient: Callable[..., Any],
     n_amplitudes: int,
     n_kept: int,
     keep_geometry: Callable[..., Any],
@@ -45,20 +44,10 @@ def moments_around(
     Parameters
     ----------
     n_amplitudes : int
-        Number of amplitudes, whose derivatives `store` keeps.
-    unpack, call, store, n_kept, keep_geometry, kept_gradient, add_products
+        Number of amplitudes, whose derivatives `evaluate_gradient` and `kept_gradient` give.
+    unpack, evaluate_gradient, n_kept, keep_geometry, kept_gradient, add_products
         As for `gonio.kernels.loops.loops_around`.
     """
-
-    def _gradient(xi, yi, zi, xr, yr, zr, q, out, gradient):
-        """f of n pairs, and its derivative by every amplitude (amplitudes, n)."""
-        for k in range(out.shape[0]):
-            above = zi[k] > 0.0 and zr[k] > 0.0
-            a = zi[k] if above else 1.0
-            b = zr[k] if above else 1.0
-            both = call(xi[k], yi[k], a, xr[k], yr[k], b, q)
-            out[k] = both[0] if above else 0.0
-            store(both, above, gradient, k)
 
     def _upper(square, out):
         """The sums row by row: those of the residuals with each column, then of the next column."""
@@ -75,32 +64,7 @@ def moments_around(
         inverse variances; batch (B, P): parameter vectors with the amplitudes a_ref; out (B, sums).
         A block of samples stays in the first cache for all vectors.
         """
-        n_a = n_amplitudes
-        columns, work = np.empty((1 + n_a, BLOCK)), np.empty(BLOCK)
-        rows, squares = np.arange(1 + n_a), np.zeros((batch.shape[0], 1 + n_a, 1 + n_a))
-        f, df = columns[0], columns[1:]
-        kept, lit = np.empty((n_kept, BLOCK)), np.empty(BLOCK)
-        for start in range(0, value.shape[0], BLOCK):
-            stop = min(start + BLOCK, value.shape[0])
-            n = stop - start
-            xi, yi, zi = (
-                components[0, start:stop],
-                components[1, start:stop],
-                components[2, start:stop],
-            )
-            xr, yr, zr = (
-                components[3, start:stop],
-                components[4, start:stop],
-                components[5, start:stop],
-            )
-            all_lit = keep_geometry(xi, yi, zi, xr, yr, zr, kept, lit)
-            for b in range(batch.shape[0]):
-                kept_gradient(kept, lit, all_lit, unpack(batch[b]), f[:n], df)
-                for t in range(n):
-                    f[t] = value[start + t] - f[t]
-                add_products(columns, rows, weight[start:stop], work, squares[b])
-        for b in range(batch.shape[0]):
-            _upper(squares[b], out[b])
+        factored_moments(components, None, None, None, value, weight, batch, out)
 
     def factored_moments(components, factor, steps, linear, value, weight, batch, out):
         """`moments` of samples with cells, over which each part of f is integrated by a factor.
@@ -108,6 +72,7 @@ def moments_around(
         factor (1 + amplitudes, 1 + others, n): factor[0] for the part of f without the
         amplitudes, factor[1 + j] for f_j; the value of each and its slopes by the other parameters,
         whose steps (B, others) each vector brings. `linear` holds the numbers of the amplitudes.
+        Without a factor, f is taken as it is; the compiler then drops what the factor does.
         """
         n_a = n_amplitudes
         columns, work = np.empty((1 + n_a, BLOCK)), np.empty(BLOCK)
@@ -118,38 +83,29 @@ def moments_around(
         for start in range(0, value.shape[0], BLOCK):
             stop = min(start + BLOCK, value.shape[0])
             n = stop - start
-            xi, yi, zi = (
-                components[0, start:stop],
-                components[1, start:stop],
-                components[2, start:stop],
-            )
-            xr, yr, zr = (
-                components[3, start:stop],
-                components[4, start:stop],
-                components[5, start:stop],
-            )
-            all_lit = keep_geometry(xi, yi, zi, xr, yr, zr, kept, lit)
+            all_lit = keep_geometry(components, start, stop, kept, lit)
             for b in range(batch.shape[0]):
                 kept_gradient(kept, lit, all_lit, unpack(batch[b]), f[:n], df)
-                for j in range(n_a):
-                    a = batch[b, linear[j]]
-                    for t in range(n):
-                        f[t] -= a * df[j, t]
-                for j in range(n_a + 1):
-                    for t in range(n):
-                        scale[t] = factor[j, 0, start + t]
-                    for i in range(steps.shape[1]):
-                        step = steps[b, i]
+                if factor is not None:
+                    for j in range(n_a):
+                        a = batch[b, linear[j]]
                         for t in range(n):
-                            scale[t] += factor[j, 1 + i, start + t] * step
-                    if j == 0:
+                            f[t] -= a * df[j, t]
+                    for j in range(n_a + 1):
                         for t in range(n):
-                            f[t] *= scale[t]
-                    else:
-                        a = batch[b, linear[j - 1]]
-                        for t in range(n):
-                            df[j - 1, t] *= scale[t]
-                            f[t] += a * df[j - 1, t]
+                            scale[t] = factor[j, 0, start + t]
+                        for i in range(steps.shape[1]):
+                            step = steps[b, i]
+                            for t in range(n):
+                                scale[t] += factor[j, 1 + i, start + t] * step
+                        if j == 0:
+                            for t in range(n):
+                                f[t] *= scale[t]
+                        else:
+                            a = batch[b, linear[j - 1]]
+                            for t in range(n):
+                                df[j - 1, t] *= scale[t]
+                                f[t] += a * df[j - 1, t]
                 for t in range(n):
                     f[t] = value[start + t] - f[t]
                 add_products(columns, rows, weight[start:stop], work, squares[b])
@@ -171,7 +127,6 @@ def moments_around(
         owner = np.empty(BLOCK, np.int64)
         part = np.empty(BLOCK)
         for b in range(batch.shape[0]):
-            q = unpack(batch[b])
             square[:] = 0.0
             for start in range(0, value.shape[0], BLOCK):
                 stop = min(start + BLOCK, value.shape[0])
@@ -187,15 +142,15 @@ def moments_around(
                         owner[m], part[m] = t, share[k]
                         m += 1
                         if m == BLOCK:
-                            _gather(s, q, f, df, owner, part, m, r, dr)
+                            _gather(s, batch[b], f, df, owner, part, m, r, dr)
                             m = 0
-                _gather(s, q, f, df, owner, part, m, r, dr)
+                _gather(s, batch[b], f, df, owner, part, m, r, dr)
                 add_products(columns, rows, weight[start:stop], work, square)
             _upper(square, out[b])
 
-    def _gather(s, q, f, df, owner, part, m, r, dr):
+    def _gather(s, p, f, df, owner, part, m, r, dr):
         """Evaluate m members; take f from the residuals of their samples, add its derivatives."""
-        _gradient(s[0], s[1], s[2], s[3], s[4], s[5], q, f[:m], df)
+        evaluate_gradient(s[0], s[1], s[2], s[3], s[4], s[5], p, f[:m], df)
         for k in range(m):
             r[owner[k]] -= part[k] * f[k]
             for j in range(df.shape[0]):

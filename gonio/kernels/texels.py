@@ -159,7 +159,7 @@ def texels_around(
             w[3, k] = sin_r * x_r if above else 0.0
             w[4, k] = sin_r * y_r if above else 0.0
             w[5, k] = z_r if above else 0.0
-        keep_geometry(w[0], w[1], w[2], w[3], w[4], w[5], geometry, lit)
+        keep_geometry(w, 0, w.shape[1], geometry, lit)
 
     def grid_basis(geometry, grid, linear, columns, basis):
         """Parts of f at every point of the grid: `gonio.kernels.small_fits.split_basis`."""

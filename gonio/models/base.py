@@ -14,7 +14,7 @@ from gonio.errors import ConfigurationError, unknown_name
 from gonio.geometry import Directions, FloatArray
 from gonio.kernels import (
     Loops,
-    SingleLoops,
+    PairLoops,
     default_threads,
     loops_for,
     map_blocks,
@@ -247,7 +247,7 @@ class Model:
         self._run(loop, parts, p, [out.reshape(-1), jac], threads)
         return out, np.moveaxis(jac.reshape(-1, *shape), 0, -1)
 
-    def _loops(self, dtype: np.dtype[Any]) -> Loops | SingleLoops:
+    def _loops(self, dtype: np.dtype[Any]) -> Loops | PairLoops:
         """The loops for directions of this type."""
         if dtype == np.float32:
             return single_loops_for(self.kernel, len(self.parameters))

@@ -9,11 +9,13 @@ they are left to the fit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.calibration.budget_page import page
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, unit_vectors
 from gonio.samples import BRDFSamples
@@ -66,11 +68,21 @@ class Budget:
     sources : tuple of Source
     unknown : tuple of str
         Sources whose size nobody stated: not counted.
+
+    Notes
+    -----
+    `print` shows the table that `gonio budget` prints.
     """
 
     samples: BRDFSamples
     sources: tuple[Source, ...]
     unknown: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(page(self.describe()))
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
 
     @property
     def counted(self) -> tuple[Source, ...]:
@@ -113,7 +125,7 @@ class Budget:
         index = self.telling if at is None else np.array([at])
         if len(index) == 0:
             raise DataError(
-                "every sample is 0 within its noise; there is nothing to give per cents of."
+                "every sample is 0 within its noise: relative uncertainties have no meaning."
             )
         combined, f = self.combined[index], np.abs(self.samples.value[index])
         sources = []
@@ -204,7 +216,7 @@ def budget(samples: BRDFSamples) -> Budget:
         )
     unknown = samples.metadata.get("unknown")
     if unknown is None:
-        unknown = ["whatever the file does not say"]
+        unknown = ["everything that the file does not state"]
     return Budget(samples, tuple(sources), tuple(unknown))
 
 
@@ -219,8 +231,8 @@ def _noise(samples: BRDFSamples) -> list[Source]:
     same = f"{sharing} images" if sharing > 1 else SAMPLE
     return [
         Source("noise, sample", "photon and read noise of its frames", "A", SAMPLE, "offset", own),
-        Source("noise, reference", "the same of standard and background", "A", same, "offset",
-               samples.u_reference),
+        Source("noise, reference", "photon and read noise of standard and background", "A", same,
+               "offset", samples.u_reference),
     ]  # fmt: skip
 
 

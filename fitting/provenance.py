@@ -17,7 +17,7 @@ def provenance(samples: BRDFSamples) -> dict[str, Any]:
     """What a result says of its origin: versions of the programs, and the data."""
     return {
         "versions": _versions(),
-        "source": {"data_sha256": _data_hash(samples), **samples.metadata},
+        "source": {"data_sha256": data_hash(samples), **samples.metadata},
     }
 
 
@@ -27,7 +27,8 @@ def _versions() -> dict[str, str]:
     return {"gonio": __version__, "python": platform.python_version(), **versions}
 
 
-def _data_hash(samples: BRDFSamples) -> str:
+def data_hash(samples: BRDFSamples) -> str:
+    """SHA-256 of the numbers: directions, values and uncertainties."""
     digest = hashlib.sha256()
     d = samples.directions
     for array in (d.theta_i, d.phi_i, d.theta_r, d.phi_r, samples.value, samples.u_independent):

@@ -33,8 +33,8 @@ def modules_in(package: str, *, private: bool = True) -> Iterator[ModuleType]:
 
     Examples
     --------
-    >>> [module.__name__ for module in modules_in("gonio.checks")]
-    ['gonio.checks.model', 'gonio.checks.samples']
+    >>> [module.__name__.rpartition(".")[2] for module in modules_in("gonio.formats")]
+    ['cornell', 'gonio_csv', 'nist_ptfe', 'samples_nc']
     """
     for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
         if private or not info.name.startswith("_"):

@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 Progress = Callable[[int, int], None]  # (done, total)
 
+# Takes a line about code that is being compiled for the first time; the command line sets it.
+on_compiling: Callable[[str], None] | None = None
+
 
 class Stage(NamedTuple):
     """One of several pieces of work that follow each other.

@@ -1,8 +1,11 @@
-"""Counts and lists as parts of an English sentence."""
+"""Counts, lists and paragraphs of English text."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
+
+WIDTH = 80  # columns of a page of text
 
 
 def counted(n: int, noun: str, plural: str = "") -> str:
@@ -33,3 +36,29 @@ def listed(words: Sequence[str]) -> str:
     ('a, b and c', 'a')
     """
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def paragraph(text: str, start: str = "", indent: int | None = None) -> str:
+    """A text folded into lines of 80 columns.
+
+    Parameters
+    ----------
+    text : str
+    start : str
+        What stands before the text in the first line.
+    indent : int, optional
+        Blanks before the other lines; as many as `start` has where not given.
+
+    Examples
+    --------
+    >>> paragraph("Energy is conserved.", "- ")
+    '- Energy is conserved.'
+    """
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=start,
+        subsequent_indent=" " * (len(start) if indent is None else indent),
+        break_on_hyphens=False,
+        break_long_words=False,
+    )

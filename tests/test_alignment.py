@@ -274,7 +274,7 @@ class TestRefusals:
 
     def test_too_few_spots(self):
         _, true = truth("ellipsoid")
-        message = r"4 spots cannot decide 10 quantities; take frames of a mirror until at least 7"
+        message = r"4 spots cannot determine 10 quantities; take frames of a mirror until at"
         with pytest.raises(DataError, match=message):
             fit(made(true, TWELVE[:4]), nominal(), R=Length(R, 0.01), separation=Length(30, 0.1))
 

@@ -134,7 +134,7 @@ def test_an_uncertainty_that_cannot_be_squared_is_refused():
 
 
 def test_all_weights_zero_is_refused_as_an_uncertainty():
-    with pytest.raises(DataError, match=r"^u_brdf must be positive; leave the column out"):
+    with pytest.raises(DataError, match=r"^the uncertainty .* must be positive"):
         samples(u_independent=np.zeros(N))
 
 

@@ -334,7 +334,7 @@ def test_photographs_that_cannot_be_read(tmp_path):
         boards.read_photo(tmp_path / "no.png")
     for content in (b"", b"this is no picture"):
         (tmp_path / "bad.png").write_bytes(content)
-        with pytest.raises(DataError, match=r"bad.png: is not a picture of 8 or 16 bits that can"):
+        with pytest.raises(DataError, match=r"bad.png: not a readable picture of 8 or 16 bits"):
             boards.read_photo(tmp_path / "bad.png")
 
 

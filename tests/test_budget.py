@@ -188,7 +188,7 @@ def test_samples_that_are_0_within_their_noise_are_left_out():
     assert report["n_left_out"] == 100
     assert report["combined"]["p95"] < 0.01
     dark = budget(replace(samples, value=np.zeros(len(value))))
-    with pytest.raises(DataError, match="every sample is 0 within its noise; there is nothing to"):
+    with pytest.raises(DataError, match="every sample is 0 within its noise: relative"):
         dark.describe()
 
 
@@ -199,7 +199,7 @@ def test_samples_without_uncertainty_are_refused():
     stated = replace(samples, u_independent=np.array([0.01]))
     (source,) = budget(stated).sources
     assert source.meaning == "as the file states it"
-    assert budget(stated).unknown == ("whatever the file does not say",)
+    assert budget(stated).unknown == ("everything that the file does not state",)
 
 
 def test_an_offset_goes_through_a_fit():

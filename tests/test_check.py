@@ -423,7 +423,7 @@ def test_a_broken_claim_is_exit_code_1(monkeypatch):
     monkeypatch.setattr(models, "get", lambda name: BROKEN)
     result = run("broken")
     assert result.exit_code == 1
-    assert "The model breaks what it claims: reciprocity, positivity" in result.stdout
+    assert "The model does not keep what it claims: reciprocity, positivity" in result.stdout
     assert narrow(result.stdout)
     result = run("broken", "--json")
     assert result.exit_code == 1

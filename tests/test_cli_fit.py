@@ -52,7 +52,7 @@ def test_json_is_one_document_on_stdout(gonio, table, tmp_path):
     target = tmp_path / "fit.json"
     code, data, err = fitted(gonio, table(), "--model", "oren_nayar", "-o", target, "--seed", "3")
     assert code == 0
-    assert err == ""
+    assert not [line for line in err.splitlines() if not line.startswith("compiling")]
     assert data["schema"] == "gonio.fit/1"
     assert (data["model"], data["status"], data["seed"]) == ("oren_nayar", "converged", 3)
     sigma = data["parameters"]["sigma"]
@@ -82,7 +82,7 @@ def test_the_table_says_what_was_fitted(gonio, table):
         "fit", table(), "--model", "oren_nayar", "--max-theta-r", "60", "--weights", "cos"
     )
     assert code == 0
-    assert err == ""
+    assert not [line for line in err.splitlines() if not line.startswith("compiling")]
     assert "Oren-Nayar, functional approximation (Oren & Nayar 1994" in out
     assert re.search(r"\d+ samples with theta_r <= 60 deg; weights: cos theta_r\n", out)
     assert re.search(r"sigma \[deg\] +2[45]\.\d+ +0\.\d+ +\d+\.\d+ \.\. \d+\.\d+", out)

@@ -149,8 +149,8 @@ def with_bad_pixels(role, take, incidence, frames):
 def test_dead_and_hot_pixels_are_counted_and_left_out(good):
     named = found(good, with_bad_pixels)
     assert set(named) == {"dead_pixels", "hot_pixels"}
-    assert named["dead_pixels"].startswith("warning: 40 pixels see less than a fifth of what their")
-    assert named["hot_pixels"].startswith("warning: 40 pixels are far brighter than their neigh")
+    assert named["dead_pixels"].startswith("warning: 40 dead pixels left out: less than a fifth")
+    assert named["hot_pixels"].startswith("warning: 40 hot pixels left out: far brighter than ")
     assert all(abs(z) < 4 for z in fitted(Altered(good, with_bad_pixels)).values())
 
 
@@ -324,7 +324,7 @@ def test_a_standard_off_by_its_uncertainty_is_inside_the_uncertainty(tmp_path):
         (np.nan, r"dark\.tif: 1 of 6 pixels are NaN or infinite; take the frame again or mask"),
         (np.inf, r"dark\.tif: 1 of 6 pixels are NaN or infinite"),
         (-3.0, r"dark\.tif: 1 of 6 pixels are below 0; give raw counts, not frames from which"),
-        (1.5, r"dark\.tif: 1 of 6 pixels are no whole counts; give raw frames, not processed"),
+        (1.5, r"dark\.tif: 1 of 6 pixels are not whole counts; give raw frames, not processed"),
     ],
 )
 def test_a_float_frame_that_holds_no_counts(value, message):
@@ -395,7 +395,7 @@ def test_a_background_that_is_the_sample(good):
 
     named = found(good, change)
     assert named["missing_background"].startswith("error: background at 30 deg, ")
-    assert "are one and the same frame, noise and all" in named["missing_background"]
+    assert "are the same frame, including its noise" in named["missing_background"]
 
 
 def test_a_response_that_session_json_does_not_know(good):

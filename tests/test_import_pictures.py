@@ -226,7 +226,7 @@ def test_floats_without_a_scale(folder):
         (np.nan, r"white/0_4_1\.tif: 1 of 9216 pixels are NaN or infinite; take the frame again"),
         (np.inf, r"white/0_4_1\.tif: 1 of 9216 pixels are NaN or infinite"),
         (-3.0, r"1 of 9216 pixels are below 0; give raw counts, not frames from which something"),
-        (70.5, r"1 of 9216 pixels are no whole counts; give raw frames, not processed ones\."),
+        (70.5, r"1 of 9216 pixels are not whole counts; give raw frames, not processed ones\."),
         (7e4, r"counts reach 70000 with frames\.counts_per_unit = 1, and a frame holds 65535 at"),
     ],
 )

@@ -127,6 +127,33 @@ class TestCommands:
         assert code == 0, err
         assert json.loads(out)["posterior"]["converged"]
 
+    def test_models_of_one_name_are_compared_under_their_files(self, run, csv):
+        text = FILE.replace("rho / np.pi + s", "0.9 * rho / np.pi + s")
+        Path("other.py").write_text(text, encoding="utf-8")
+        code, out, err = run("compare", csv, "--models", "facets.py,other.py", "--json")
+        assert code == 0, err
+        names = {entry["model"] for entry in json.loads(out)["entries"]}
+        assert names == {"facets_by_file (facets.py)", "facets_by_file (other.py)"}
+        code, _, err = run("compare", csv, "--models", "facets.py,facets.py")
+        assert code == 2
+        assert "model facets_by_file is given twice; give it once." in err
+
+    def test_a_model_of_another_fit_is_refused(self, run, fitted):
+        code, _, err = run("report", fitted, "--model", "ward")
+        assert code == 2
+        assert "--model ward is the model ward, and " in err
+        assert "give the file that defines facets_by_file" in err
+
+    def test_a_plot_takes_samples_that_were_moved(self, run, fitted, csv):
+        moved = csv.rename(csv.with_name("moved.csv"))
+        code, _, err = run("plot", fitted, "--model", "facets.py")
+        assert code == 3
+        assert "Give them with --samples FILE" in err
+        for verb, output in (("plot", "a.png"), ("report", "a.html")):
+            words = (verb, fitted, "--model", "facets.py", "--samples", moved, "-o", output)
+            code, _, err = run(*words)
+            assert code == 0, err
+
     def test_report_and_plot_take_the_file_again(self, run, fitted):
         for words in (("report", fitted), ("plot", fitted)):
             code, _, err = run(*words)

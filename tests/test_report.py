@@ -451,7 +451,7 @@ def test_the_command_says_what_it_leaves_out(run, folder, tmp_path, monkeypatch)
     ("source", "output", "code", "text"),
     [
         ("gone.json", "a.html", 3, "gone.json: no such file; give a fit that 'gonio fit -o' wrote"),
-        ("shiny.json", "a.pdf", 2, "a.pdf: a report is written as .html; give a name that ends so"),
+        ("shiny.json", "a.pdf", 2, "a.pdf: a report is written as HTML; give a name that ends in"),
         ("shiny.json", "no/a.html", 3, "the folder no does not exist; make it first"),
         ("shiny.nc", "a.html", 3, "shiny.nc: not a readable fit"),
     ],

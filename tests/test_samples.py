@@ -294,7 +294,7 @@ class TestChecks:
 
     @pytest.mark.parametrize("u", [0.0, -0.1, np.nan])
     def test_an_uncertainty_that_is_not_positive(self, u):
-        with pytest.raises(DataError, match="u_brdf must be positive; leave the column out"):
+        with pytest.raises(DataError, match=r"^the uncertainty \(u_independent.*must be positive"):
             BRDFSamples(
                 Directions([0.1, 0.2], 0, 0, 0), np.zeros(2), u_independent=np.array([0.1, u])
             )

@@ -222,7 +222,7 @@ def _require(n: int, free: Sequence[str]) -> None:
     least = len(free) // 2 + 2
     if n < least:
         raise DataError(
-            f"{n} spots cannot decide {len(free)} quantities; take frames of a mirror until at "
+            f"{n} spots cannot determine {len(free)} quantities; take frames of a mirror until at "
             f"least {least} spots are found."
         )
 

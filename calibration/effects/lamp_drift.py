@@ -18,7 +18,7 @@ STANDARD = TermRecord(
 )
 BACKGROUND = TermRecord(
     "lamp, background",
-    "lamp output when the background was taken: stray light that is left",
+    "lamp output when the background was taken: stray light that remains",
     averages=True,
     belongs_to="session",
 )

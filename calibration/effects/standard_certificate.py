@@ -13,7 +13,7 @@ from gonio.shared_term import SharedTerm
 SCALE = TermRecord("standard", "reflectance of the white standard")
 SHAPE = TermRecord(
     "standard, shape",
-    "how the standard departs from a Lambertian one at high angles",
+    "departure of the standard from a Lambertian one at high angles",
     constant=True,
 )
 

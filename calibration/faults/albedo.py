@@ -15,7 +15,7 @@ ALBEDO = 1.1
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
-    """An albedo above 1: sample and standard are exchanged, or the standard is another one."""
+    """An albedo above 1.1: sample and standard are exchanged, or the standard is another one."""
     metadata, regions = evidence.metadata, evidence.regions
     across = np.cross(np.gradient(regions.w_r, axis=0), np.gradient(regions.w_r, axis=1))
     weight = np.linalg.norm(across, axis=-1) * regions.w_r[..., 2] * (regions.cover > 0.99)
@@ -38,7 +38,7 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "brighter_than_white",
             "warning",
-            f"the sample would throw back {np.median(albedos):.2g} of the light that falls on it: "
+            f"the sample would reflect {np.median(albedos):.2g} times the light that falls on it: "
             "sample and standard are exchanged, or the standard is not the certified one.",
         )
 

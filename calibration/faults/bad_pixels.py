@@ -8,19 +8,21 @@ import numpy as np
 
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence
+from gonio.wording import counted
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     for kind, why in (
-        ("dead", "see less than a fifth of what their neighbours see of the standard"),
-        ("hot", "are far brighter than their neighbours in the background"),
+        ("dead", "less than a fifth of the signal of their neighbours, in the standard"),
+        ("hot", "far brighter than their neighbours, in the background"),
     ):
         masks = list(evidence.bad[kind].values())
         # A pixel at the edge of the lit spot may look dead, but not from every incidence.
         often = np.sum(masks, axis=0) > 0.7 * len(masks)
         n = int(np.count_nonzero(often))
         if n:
-            yield Finding(f"{kind}_pixels", "warning", f"{n} pixels {why}; they are left out.")
+            text = f"{counted(n, f'{kind} pixel')} left out: {why}."
+            yield Finding(f"{kind}_pixels", "warning", text)
 
 
 QUESTION = Question(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence
 from gonio.calibration.faults.frame_statistics import ZEROS
+from gonio.wording import counted
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
@@ -21,9 +22,9 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "clipped_at_zero",
             "warning",
-            f"{evidence.name(image, k)}: {share:.0%} of the counts are 0, as in {len(cut)} frames; "
-            "the black level is too low for the read noise and dark pixels come out too bright. "
-            "Raise the camera's offset.",
+            f"{evidence.name(image, k)}: {share:.0%} of the counts are 0, as in "
+            f"{counted(len(cut), 'frame')}; the black level is too low for the read "
+            "noise and dark pixels come out too bright. Raise the camera's offset.",
         )
 
 

@@ -8,6 +8,7 @@ from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence, Image
 from gonio.calibration.faults.frame_statistics import ZEROS, middle
 from gonio.metadata import Camera
+from gonio.wording import counted
 
 SIGMAS = 5.0  # that a level must stand out by
 DARK_DN = 0.5  # counts by which the dark level may be off
@@ -34,12 +35,13 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     if white is not None and middle(white) > 0 and camera.gamma == 1:
         share = abs(rate) / middle(white)
         effect = f", {share:.2g} of the white standard's light if it is in one image only"
+    affected = f"{counted(len(off), 'frame')} {'is' if len(off) == 1 else 'are'} off"
     yield Finding(
         "dark_drift",
         "warning",
         f"{evidence.name(image, k)}: outside the image circle the level is {excess:+.3g} counts "
-        f"from black level and dark current{effect}; {len(off)} frames are off. Let the "
-        "camera warm up, or correct camera.black_dn and camera.dark_e_per_s.",
+        f"from black level and dark current{effect}; {affected}. Let the camera "
+        "warm up, or correct camera.black_dn and camera.dark_e_per_s.",
     )
 
 

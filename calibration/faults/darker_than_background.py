@@ -9,6 +9,7 @@ import numpy as np
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence, Image
 from gonio.calibration.faults.standard_levels import FEWEST
+from gonio.wording import counted
 
 SIGMAS = 5.0  # that a signal must stand out by
 
@@ -39,9 +40,9 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "darker_than_background",
             "error",
-            f"{evidence.name(image)}: in {n} places it is darker than its background, by up to "
-            f"{most:.3g} e-/s, as in {len(darker)} images: frames of two incidences are exchanged, "
-            "or the lamp moved between the two.",
+            f"{evidence.name(image)}: it is darker than its background in {counted(n, 'place')}, "
+            f"by up to {most:.3g} e-/s, as in {counted(len(darker), 'image')}: frames of two "
+            "incidences are exchanged, or the lamp moved between the two.",
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence, Image
 from gonio.calibration.faults.frame_statistics import ValueWithError
+from gonio.wording import counted
 
 SIGMAS = 5.0  # that a ratio must stand out by
 GROWTH = 0.05  # by which a signal may fail to grow as the exposure
@@ -42,9 +43,9 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "not_linear",
             "warning",
-            f"{text}, as in {len(images)} images: the response is not what camera.gamma = "
-            f"{evidence.metadata.camera.gamma:g} says, or plan.exposures_s is not what the camera "
-            "did.",
+            f"{text}, as in {counted(len(images), 'image')}: the response is not what "
+            f"camera.gamma = {evidence.metadata.camera.gamma:g} says, or plan.exposures_s is not "
+            "what the camera did.",
         )
 
 
@@ -56,7 +57,7 @@ QUESTION = Question(
     key="exposure_times",
     order=30,
     asks="Do counts grow as the exposure times say?",
-    compares="the signals of each exposure with those of the one before",
+    compares="the signals of each exposure with those of the previous one",
     codes=("exposure_order", "not_linear"),
     ask=ask,
 )

@@ -35,6 +35,6 @@ def of_float_frame(frame: NDArray[Any], name: str) -> tuple[Finding, ...]:
         return (Finding("not_raw", "error", text + "from which something was subtracted."),)
     broken = int(np.count_nonzero(frame != np.rint(frame)))
     if broken:
-        text = f"{name}: {broken} of {frame.size} pixels are no whole counts; give raw frames, not "
-        return (Finding("not_raw", "error", text + "processed ones."),)
+        text = f"{name}: {broken} of {frame.size} pixels are not whole counts; give raw frames, "
+        return (Finding("not_raw", "error", text + "not processed ones."),)
     return ()

@@ -1,4 +1,4 @@
-"""Is a frame there twice?"""
+"""Does a frame occur twice?"""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             code,
             "error",
-            f"{evidence.name(a, j)}, and {evidence.name(b, k)}, are one and the same frame, noise "
-            f"and all.{more}",
+            f"{evidence.name(a, j)}, and {evidence.name(b, k)}, are the same frame, including its "
+            f"noise.{more}",
         )
 
 
 QUESTION = Question(
     key="same_frame",
     order=20,
-    asks="Is a frame there twice?",
-    compares="the fingerprints of all frames, noise and all",
+    asks="Does a frame occur twice?",
+    compares="the fingerprints of all frames, noise included",
     codes=("same_frame", "missing_background"),
     ask=ask,
 )

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from gonio.calibration.faults.base import Finding, Question
 from gonio.calibration.faults.evidence import Evidence
+from gonio.wording import counted
 
 SATURATED = 0.005  # share of saturated pixels
 
@@ -20,8 +21,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
                 f"saturated_{role}",
                 "error" if share > 0.5 else "warning",
                 f"{evidence.name(image)}: {share:.1%} of the pixels are saturated in the shortest "
-                f"exposure, or where none is expected; so are some in {len(full)} images. They "
-                "are left out: take a shorter exposure.",
+                f"exposure, or where none is expected; this is so in "
+                f"{counted(len(full), 'image')}. They are left out: take a shorter exposure.",
             )
 
 

@@ -38,7 +38,7 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
             "wrong_standard",
             "warning",
             f"{evidence.name(('standard', 0, i))}: against the other incidences its f changes by "
-            f"+-{most:.0%} over the hemisphere, and the certificate has none of that: it is "
+            f"+-{most:.0%} over the hemisphere, which the certificate does not state: it is "
             "not the certified standard, or it is dirty or glossy.",
         )
 

@@ -76,7 +76,7 @@ def read_photo(path: str | Path) -> Image:
     image: Any = cv2.imdecode(data, flags) if len(data) else None
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise DataError(
-            f"{path}: is not a picture of 8 or 16 bits that can be read; give photographs as PNG, "
+            f"{path}: not a readable picture of 8 or 16 bits; give photographs as PNG, "
             "TIFF, JPEG or BMP.",
             value=path,
         )

@@ -17,6 +17,7 @@ from gonio.calibration.lens.fisheye import Fisheye
 from gonio.calibration.lens.rotations import left_jacobian, rotation
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, angles
+from gonio.wording import counted
 
 QUANTITIES = ("f", "k1", "k2", "k3", "k4", "centre_x", "centre_y", "ratio")
 LEAST_VIEWS = 3
@@ -175,8 +176,8 @@ def _require(condition: bool, message: str) -> None:
 def _few(good: Sequence[View], views: Sequence[View]) -> str:
     return (
         f"{len(good)} of {len(views)} photographs show {LEAST_CORNERS} or more corners of the "
-        f"board; a lens needs {LEAST_VIEWS} or more, and 15 to 30 all over the field to be "
-        "known well. Take more."
+        f"board; a calibration needs {LEAST_VIEWS} or more, and 15 to 30 all over the field "
+        "for a good one. Take more."
     )
 
 
@@ -192,7 +193,7 @@ def _enough(
         elif n == 0:
             bad[view.name] = "no corner of the board was found"
         elif n < LEAST_CORNERS:
-            bad[view.name] = f"{n} corners, fewer than {LEAST_CORNERS}"
+            bad[view.name] = f"{counted(n, 'corner')}, fewer than {LEAST_CORNERS}"
         elif np.linalg.matrix_rank(view.board[:, :2] - view.board[0, :2]) < 2:
             bad[view.name] = "its corners lie on one line"
         else:
@@ -225,8 +226,8 @@ def _check_spread(poses: list[Pose]) -> None:
     widest = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1))).max()
     _require(
         bool(widest >= LEAST_SPREAD_DEG),
-        f"all boards are parallel within {widest:.1f} deg, which does not tell the focal length "
-        f"from the boards' distance; tilt the board by {2 * LEAST_SPREAD_DEG:g} deg and more "
+        f"all boards are parallel within {widest:.1f} deg, so that focal length and distance of "
+        f"the boards cannot be separated; tilt the board by {2 * LEAST_SPREAD_DEG:g} deg and more "
         "between photographs.",
     )
 
@@ -243,8 +244,8 @@ def _check_determined(fit: LensFit) -> None:
     )
     _require(
         fit.lens.f > 0 and fit.lens.grows_to() > float(fit.theta().max()),
-        "the fitted lens is not one: its image shrinks towards the rim. The start was too far "
-        "off, or corners are wrong; check the field of the lens and the board.",
+        "the fitted polynomial is not a lens: its image shrinks towards the rim. The start was too "
+        "far off, or corners are wrong; check the field of the lens and the board.",
     )
 
 

@@ -132,7 +132,7 @@ class LensFromPhotos:
         if fit.rms_px > _LARGE_RMS_PX:
             sentences.append(
                 f"the corners miss by {fit.rms_px:.2f} px rms: the board is not flat or not as "
-                "described, or the lens is no Kannala-Brandt lens."
+                "described, or the lens does not follow the Kannala-Brandt model."
             )
         if self._usable_field_deg() < min(self.field_deg, 180.0):
             sentences.append(
@@ -205,12 +205,12 @@ def calibrate_lens(
 
     >>> calibrate_lens(["a.png", "a.png"], board, pitch_mm=(0.00345, 0.00345))
     Traceback (most recent call last):
-    gonio.errors.ConfigurationError: a.png: is given twice; give each photograph once.
+    gonio.errors.ConfigurationError: a.png is given twice; give each photograph once.
     """
     names = [str(path) for path in paths]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
-        raise ConfigurationError(f"{min(twice)}: is given twice; give each photograph once.")
+        raise ConfigurationError(f"{min(twice)} is given twice; give each photograph once.")
     report = _Counter((1 + _PASSES) * len(names), progress)
     ratio = pitch_mm[0] / pitch_mm[1]
     corners, brightest = _detect(names, board, report)

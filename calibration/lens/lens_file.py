@@ -135,7 +135,7 @@ def read(path: str | Path) -> CalibratedLens:
         ) from None
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise DataError(
-            f"{path}: is not a calibrated lens (schema {SCHEMA!r}); give a file that "
+            f"{path}: not a calibrated lens (schema {SCHEMA!r}); give a file that "
             "'gonio calibrate lens' wrote.",
             value=path,
         )

@@ -13,6 +13,7 @@ from gonio.errors import DataError
 from gonio.geometry import Directions, angles
 from gonio.metadata import Metadata
 from gonio.samples import FLAG_ENTRY, FLAG_PARTIAL, BRDFSamples, Cells
+from gonio.wording import counted
 
 
 def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells]) -> BRDFSamples:
@@ -104,8 +105,8 @@ def _history(
     used = sum(part.n_used for part in parts)
     images = {(part.channel, part.incidence, part.rotation) for part in parts}
     return (
-        f"{metadata.instrument}: {metadata.sample}, {len(images)} images of "
-        f"{len(metadata.plan.exposures_s)} exposures merged",
+        f"{metadata.instrument}: {metadata.sample}, {counted(len(images), 'image')} of "
+        f"{counted(len(metadata.plan.exposures_s), 'exposure')} merged",
         standard.describe(metadata),
         pixel_map.describe(),
         f"masked: theta_r > {geometry.usable_theta_r_deg:g} deg; "

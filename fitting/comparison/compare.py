@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
-from gonio.models import Model
+from gonio.models import Model, source_of
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
 from gonio.wording import counted
@@ -147,11 +149,8 @@ def compare(
 
 def _checked(models: Sequence[str | Model]) -> list[Model]:
     given = [models] if isinstance(models, str) else list(models)
-    chosen = [get_model(m) for m in given]
+    chosen = _labelled([get_model(m) for m in given])
     names = [m.name for m in chosen]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigurationError(f"model {name} is given twice; give it once.", value=name)
     if len(chosen) < 2:
         raise ConfigurationError(
             f"a comparison needs at least two models and got {', '.join(names) or 'none'}; "
@@ -159,6 +158,22 @@ def _checked(models: Sequence[str | Model]) -> list[Model]:
             value=names,
         )
     return chosen
+
+
+def _labelled(models: Sequence[Model]) -> list[Model]:
+    """The models; those of one name from several files are named with their files."""
+    counts = Counter(model.name for model in models)
+    labelled = [
+        replace(model, name=f"{model.name} ({(source_of(model) or {}).get('file')})")
+        if counts[model.name] > 1
+        else model
+        for model in models
+    ]
+    for label, count in Counter(model.name for model in labelled).items():
+        if count > 1:
+            name = label.partition(" (")[0]
+            raise ConfigurationError(f"model {name} is given twice; give it once.", value=name)
+    return labelled
 
 
 def _constraints(

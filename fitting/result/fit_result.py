@@ -228,4 +228,4 @@ class FitResult(FitRecord):
             model = self._model()
         except ConfigurationError:  # of a model that this process does not know
             return self.model
-        return f"{model.title} ({model.reference})"
+        return model.heading

@@ -1,7 +1,9 @@
 """Checks of models and of measured samples: reciprocity, sign, energy, symmetry, quantity."""
 
-from gonio.checks.model import Finding, ModelReport, check_model
-from gonio.checks.samples import BRDF, UNDECIDED, Pairing, SamplesReport, check_samples
+from gonio.checks.model import check_model
+from gonio.checks.model_report import Finding, ModelReport
+from gonio.checks.samples import check_samples
+from gonio.checks.samples_report import BRDF, UNDECIDED, Pairing, SamplesReport
 from gonio.models.albedo import Albedo, bihemispherical_albedo, directional_albedo
 
 __all__ = [

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
+from gonio.checks.model_report import SAME, Finding, ModelReport, above_bound
 from gonio.geometry import (
     FloatArray,
     angles,
@@ -17,110 +17,13 @@ from gonio.geometry import (
 )
 from gonio.models import Model
 from gonio.models.albedo import Albedo, bihemispherical_albedo, directional_albedo
+from gonio.wording import counted
 
 ALBEDO_ANGLES_DEG = (0.0, 30.0, 45.0, 60.0, 75.0, 85.0)
-SAME = 1e-9  # relative difference up to which two values of a formula are equal
 SEAM_STEP = 1e-7  # radians to either side of a seam
 SEAM_SAME = 1e-4
 DRAWS = 20_000  # random directions instead of the quadrature, for a costly model
 CHECK_DRAWS = 8_000  # random directions that check a quadrature
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One property of a model: the claim and the result of its test.
-
-    Parameters
-    ----------
-    name : str
-        The property.
-    claimed : bool
-        Whether the model claims it.
-    holds : bool
-        Whether the property holds.
-    worst : float
-        Largest violation, smallest value or largest albedo; `text` says which.
-    where : tuple of float or None
-        theta_i, phi_i, theta_r, phi_r in degrees of the worst case; two angles for an albedo.
-    text : str
-        The result in words and numbers.
-    """
-
-    name: str
-    claimed: bool
-    holds: bool
-    worst: float
-    where: tuple[float, ...] | None
-    text: str
-
-    @property
-    def passed(self) -> bool:
-        """False only where a claim does not hold."""
-        return self.holds or not self.claimed
-
-
-@dataclass(frozen=True)
-class ModelReport:
-    """Result of `check_model`.
-
-    Parameters
-    ----------
-    model : str
-    parameters : mapping
-        All parameters, angles in radians.
-    findings : tuple of Finding
-        Reciprocity, positivity, energy, isotropy, seams.
-    albedos : mapping
-        `Albedo` by angle of incidence in degrees, phi_i = 0.
-    bihemispherical : Albedo
-        Albedo for uniform light from the whole hemisphere.
-    """
-
-    model: str
-    parameters: Mapping[str, float]
-    findings: tuple[Finding, ...]
-    albedos: Mapping[float, Albedo]
-    bihemispherical: Albedo
-
-    @property
-    def conserves_energy(self) -> bool:
-        """Whether no directional albedo exceeds 1 with these parameters."""
-        return not _above(1.0, self.albedos)
-
-    @property
-    def passed(self) -> bool:
-        """Whether everything that the model claims holds."""
-        return all(finding.passed for finding in self.findings)
-
-    def finding(self, name: str) -> Finding:
-        """The finding with this name."""
-        return next(finding for finding in self.findings if finding.name == name)
-
-    def describe(self) -> dict[str, Any]:
-        """The report as plain data, for --json."""
-        return {
-            "schema": "gonio.check_model/1",
-            "model": self.model,
-            "parameters": dict(self.parameters),
-            "passed": self.passed,
-            "findings": [
-                {**_json_values(finding), "passed": finding.passed} for finding in self.findings
-            ],
-            "albedo": [
-                {"theta_i_deg": theta, **_json_values(albedo)}
-                for theta, albedo in self.albedos.items()
-            ],
-            "bihemispherical_albedo": _json_values(self.bihemispherical),
-            "conserves_energy": self.conserves_energy,
-        }
-
-
-def _json_values(record: Finding | Albedo) -> dict[str, Any]:
-    """A record for JSON: numbers that are not finite become None."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in asdict(record).items()
-    }
 
 
 def check_model(
@@ -179,7 +82,8 @@ def check_model(
         _compared("isotropy", model.claims.isotropic, f, f_rotated, w_i, w_r),
         _seams(model, p),
     )
-    return ModelReport(model.name, named, findings, albedos, _bihemispherical(model, p, rng))
+    uniform = _bihemispherical(model, p, rng)
+    return ModelReport(model.name, named, findings, albedos, uniform, model.parameters)
 
 
 def _pairs(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
@@ -239,20 +143,15 @@ def _energy(
         albedos.items(),
         key=lambda item: math.inf if math.isnan(item[1].value) else item[1].value,
     )
-    over = _above(1.0 if bound is None else bound, albedos)
+    over = above_bound(1.0 if bound is None else bound, albedos)
     text = f"largest albedo {worst.value:.4f}"
     if bound is not None:
         text += f", claimed at most {bound:.4f}"
         text += f" ({' + '.join(names)})" if names else ""
         text += f", which is exceeded at {_listed(over)} deg" if over else ""
-    if above := _above(1.0, albedos):
+    if above := above_bound(1.0, albedos):
         text += f"; above 1 at {_listed(above)} deg"
     return Finding("energy", bound is not None, not over, worst.value, (theta, 0.0), text)
-
-
-def _above(bound: float, albedos: Mapping[float, Albedo]) -> list[float]:
-    """Angles of incidence at which the albedo is larger than a bound, or no number."""
-    return [t for t, a in albedos.items() if not a.value - a.error <= bound + SAME]
 
 
 def _listed(angles_deg: list[float]) -> str:
@@ -309,7 +208,11 @@ def _seams(model: Model, p: FloatArray) -> Finding:
             if jump > worst:
                 worst, where = jump, tuple(math.degrees(angle) for angle in seam)
     count = len(model.claims.seams)
-    text = f"largest jump {worst:.2g} at {count} seams" if count else "the formula has no seams"
+    text = (
+        f"largest jump {worst:.2g} at {counted(count, 'seam')}"
+        if count
+        else "the formula has no seams"
+    )
     return Finding("seams", count > 0, worst <= SEAM_SAME, worst, where, text)
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.checks.samples_report import BRDF, UNDECIDED, Pairing, SamplesReport
 from gonio.geometry import (
     Directions,
     FloatArray,
@@ -23,80 +22,8 @@ MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
 MIN_CONTRAST = 0.05
 # The best quantity must halve the disagreement of the next one.
 CLEARLY_BETTER = 0.5
-UNDECIDED = "undecided"
-BRDF = "BRDF"
 # Albedo of the nearest-sample sum above which a constant factor is suspected.
 SUSPECT_ALBEDO = 1.2
-
-
-@dataclass(frozen=True)
-class Pairing:
-    """Agreement of pairs of values that should be equal.
-
-    Parameters
-    ----------
-    n_pairs : int
-        Number of pairs in the data.
-    median, rms : float or None
-        Median and root mean square of |a - b| / mean(|a|, |b|); None without pairs.
-    """
-
-    n_pairs: int
-    median: float | None
-    rms: float | None
-
-
-@dataclass(frozen=True)
-class SamplesReport:
-    """Result of `check_samples`.
-
-    Parameters
-    ----------
-    n_samples, n_negative : int
-        Number of samples, and of samples below zero.
-    tolerance_deg : float
-        Largest allowed angle between each direction of a pair and its exact partner.
-    reciprocity : Pairing
-        Values with light and viewer exchanged.
-    mirror : Pairing
-        Values at phi_r - phi_i = +x and -x, equal on an isotropic surface.
-    assumed_isotropic : bool
-        Whether reciprocal partners were searched at any azimuth of the sample and on both sides of
-        the plane of incidence, because the data contain too few others.
-    quantity : str
-        One of the names in `candidates`, or "undecided".
-    candidates : mapping
-        Median disagreement of reciprocal pairs if the file holds this quantity; empty without pairs
-        that distinguish the quantities.
-    n_telling : int
-        Number of pairs that distinguish the quantities.
-    albedo : float or None
-        Largest directional albedo by a rough sum over nearest samples, after the quantity's cosine
-        is removed; None if the data cover too little of the hemisphere.
-    notes : tuple of str
-        What the numbers mean, and what they cannot decide.
-    """
-
-    n_samples: int
-    n_negative: int
-    tolerance_deg: float
-    reciprocity: Pairing
-    mirror: Pairing
-    assumed_isotropic: bool
-    quantity: str
-    candidates: Mapping[str, float]
-    n_telling: int
-    albedo: float | None
-    notes: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """False if the data show that they are not a BRDF."""
-        return self.quantity in (BRDF, UNDECIDED)
-
-    def describe(self) -> dict[str, Any]:
-        """The report as plain data, for --json."""
-        return {"schema": "gonio.check_samples/1", "passed": self.passed, **asdict(self)}
 
 
 def check_samples(samples: BRDFSamples, *, tolerance_deg: float = 2.0) -> SamplesReport:

@@ -16,6 +16,7 @@ from typing import NoReturn
 
 import rich_click as click
 
+from gonio import progress
 from gonio._version import __version__
 from gonio.errors import GonioError, SessionInterruptedError, unknown_name
 
@@ -108,6 +109,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
 
 def _run(args: Sequence[str] | None) -> int:
     """Exit code of a run; errors become one sentence on stderr."""
+    progress.on_compiling = _say
     try:
         code = group.main(args, prog_name="gonio", standalone_mode=False)
     except GonioError as error:
@@ -120,6 +122,8 @@ def _run(args: Sequence[str] | None) -> int:
         return _print_system_error(error)
     except Exception as error:
         return _print_fault(error)
+    finally:
+        progress.on_compiling = None
     return code if isinstance(code, int) else 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +12,8 @@ from gonio.errors import ConfigurationError
 from gonio.verbs.check import check, named_target
 
 if TYPE_CHECKING:
-    from gonio.checks import ModelReport, Pairing, SamplesReport
+    from gonio.checks import ModelReport
     from gonio.models import Model
-
-_WIDTH = 80
 
 
 @click.command(name="check")
@@ -62,7 +59,7 @@ def command(
         if as_json:
             echo_json(_document(chosen, report))
         else:
-            _show_model(chosen, report)
+            click.echo(report)
         passed = report.passed
     else:
         passed = _check_file(Path(target), items, selections, as_json)
@@ -94,7 +91,7 @@ def _check_file(
     if as_json:
         echo_json({**report.describe(), "file": str(path), "format": samples.metadata["format"]})
     else:
-        _show_samples(path, report)
+        click.echo(f"{path}: {report}")
     return report.passed
 
 
@@ -117,75 +114,3 @@ def _document(model: Model, report: ModelReport) -> dict[str, Any]:
         "parameters": {p.name: p.to_file(report.parameters[p.name]) for p in model.parameters},
         "units": {p.name: p.file_unit for p in model.parameters},
     }
-
-
-def _show_model(model: Model, report: ModelReport) -> None:
-    from gonio.cli.options import file_text
-
-    values = (f"{p.name} = {file_text(p, report.parameters[p.name])}" for p in model.parameters)
-    _say(f"{model.name}: {', '.join(values)}")
-    click.echo(f"\n{'property':<12} {'claimed':<8} {'result':<8} found")
-    for finding in report.findings:
-        if finding.holds:
-            result = "ok"
-        else:
-            result = "FAILS" if finding.claimed else "no"
-        claimed = "yes" if finding.claimed else "no"
-        start = f"{finding.name:<12} {claimed:<8} {result:<8} "
-        _say(finding.text, start)
-        if not finding.holds and finding.where is not None:
-            names = ("theta_i", "phi_i", "theta_r", "phi_r")
-            where = (f"{n} {a:.5g}" for n, a in zip(names, finding.where, strict=False))
-            _say(f"at {', '.join(where)} deg", " " * len(start))
-    click.echo(f"\n{'theta_i':>8} {'albedo':>10} {'error':>9}   (phi_i = 0)")
-    for theta, albedo in report.albedos.items():
-        click.echo(f"{theta:>8g} {albedo.value:>10.5f} {albedo.error:>9.1g}")
-    uniform = report.bihemispherical
-    click.echo(
-        f"{'uniform':>8} {uniform.value:>10.5f} {uniform.error:>9.1g}   (from the whole hemisphere)"
-    )
-    click.echo()
-    if report.passed:
-        _say("The model keeps what it claims.")
-    else:
-        broken = [finding.name for finding in report.findings if not finding.passed]
-        _say(f"The model breaks what it claims: {', '.join(broken)}.")
-    if not report.conserves_energy:
-        _say("It reflects more light than falls on it with these parameters.")
-
-
-def _show_samples(path: Path, report: SamplesReport) -> None:
-    _say(f"{path}: {report.n_samples} samples, {report.n_negative} of them negative.")
-    within = f"partners within {report.tolerance_deg:g} deg"
-    click.echo(f"\n{within:<28} {'pairs':>7} {'median':>8} {'rms':>8}")
-    _show_pairing("light and viewer exchanged", report.reciprocity)
-    _show_pairing("phi_r - phi_i = +x and -x", report.mirror)
-    click.echo(f"\n{'if the values are':<28} {'pairs':>7} {'median':>8}   of reciprocal pairs")
-    for name, median in report.candidates.items():
-        click.echo(f"{name:<28} {report.n_telling:>7} {median:>8.1%}")
-    if not report.candidates:
-        click.echo("no pair tells BRDF and BRDF*cos apart")
-    click.echo(f"\nQuantity: {report.quantity}")
-    for note in report.notes:
-        _say(note, "- ")
-
-
-def _show_pairing(name: str, pairing: Pairing) -> None:
-    median, rms = (
-        "-" if fraction is None else f"{fraction:.1%}" for fraction in (pairing.median, pairing.rms)
-    )
-    click.echo(f"{name:<28} {pairing.n_pairs:>7} {median:>8} {rms:>8}")
-
-
-def _say(text: str, start: str = "") -> None:
-    """Print a paragraph of 80 columns, indented after its start."""
-    click.echo(
-        textwrap.fill(
-            text,
-            _WIDTH,
-            initial_indent=start,
-            subsequent_indent=" " * len(start),
-            break_on_hyphens=False,
-            break_long_words=False,
-        )
-    )

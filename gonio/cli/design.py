@@ -76,7 +76,9 @@ SMALLEST = 3  # images, as `gonio.planning.plan_search` has it, which is slow to
     "--threads", type=click.IntRange(min=1), metavar="N", help="Number of worker threads."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.pass_context
 def command(
+    ctx: click.Context,
     model: str,
     items: tuple[str, ...],
     instrument: str,
@@ -93,7 +95,8 @@ def command(
 
     The plan sets incidence angles, rotations, exposures, and repeats of standard and background. It
     is chosen by Fisher information, which includes the errors that images share. The surface is
-    assumed to follow the model exactly, with the given parameters.
+    assumed to follow the model exactly, with the given parameters. The exit code is 1 if the plan
+    does not reach the wanted precision.
     """
     from gonio.cli.options import check_target, echo_json
     from gonio.cli.progress import stages
@@ -136,6 +139,8 @@ def command(
     else:
         words = _surface_words(result, instrument)
         _show(document, None if output is None else f"{words} --plan {output} -o SESSION")
+    if document["reached"] is False:
+        ctx.exit(1)
 
 
 def _surface(name: str, items: tuple[str, ...]) -> tuple[Model, dict[str, float]]:

@@ -67,6 +67,7 @@ def command(
         click.echo(text, nl=False)
     else:
         write_text(output, text)
+        click.echo(f"written to {output}", err=True)
 
 
 def _model_and_parameters(

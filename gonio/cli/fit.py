@@ -261,7 +261,7 @@ def _print(
     width = max(80, shutil.get_terminal_size((80, 24)).columns)
     # Without markup: rich would take the unit in "sigma [deg]" for a style and drop it.
     console = Console(width=width, highlight=False, markup=False)
-    title = f"{model.title} ({model.reference})"
+    title = model.heading
     for piece in page(result, title, known=truth, width=width, explain=explained):
         if isinstance(piece, str):
             click.echo(piece)

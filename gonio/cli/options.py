@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
@@ -11,8 +12,6 @@ import rich_click as click
 from gonio.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rich.console import Console
 
     from gonio.models import Model, Parameter
@@ -29,12 +28,39 @@ model_of_fit = click.option(
 )
 
 
-def given(model: str | None) -> None:
-    """Register the model that `--model` names, so that the name in a fit resolves to it."""
-    if model is not None:
-        from gonio.models import resolve
+samples_of_fit = click.option(
+    "--samples",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Samples that the fit was made to; default: those that FIT.json names. Their SHA-256 "
+    "must be that of the fit.",
+)
 
-        resolve(model)
+
+def given(model: str | None, fit: Path) -> None:
+    """Register the model that `--model` names, so that the name in a fit resolves to it.
+
+    Raises
+    ------
+    ConfigurationError
+        If the fit was made with another model.
+    """
+    if model is None:
+        return
+    from gonio.models import resolve
+
+    chosen = resolve(model).name
+    if fit.suffix != ".json" or not fit.exists():
+        return
+    from gonio.fitting.result import FitResult
+
+    fitted = FitResult.load(fit).model
+    if chosen not in fitted.split("+"):
+        raise ConfigurationError(
+            f"--model {model} is the model {chosen}, and {fit} is a fit of {fitted}; give the file "
+            f"that defines {fitted}, or leave --model out if it is part of gonio.",
+            value=model,
+        )
 
 
 def parse_parameters(model: Model, items: Iterable[str]) -> dict[str, float]:
@@ -142,8 +168,7 @@ def file_text(parameter: Parameter, value: float) -> str:
     >>> file_text(models.get("lambert").parameter("rho"), 0.25)
     '0.25'
     """
-    unit = f" {parameter.file_unit}" if parameter.file_unit else ""
-    return f"{_file_value(parameter, value)}{unit}"
+    return parameter.file_text(value)
 
 
 def refuse_both(*formats: bool) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
-from gonio.cli.options import given, model_of_fit
+from gonio.cli.options import given, model_of_fit, samples_of_fit
 from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.verbs.plot import KINDS, SIGNS, plot
 
@@ -61,6 +61,7 @@ SMALLEST_PAGE = 0.85  # of the size that the page is made for
     metavar="KEY=VALUE",
     help="Part of a file or of a joint fit: wavelength=650, channel=NAME or part=NAME.",
 )
+@samples_of_fit
 @model_of_fit
 def command(
     source: str,
@@ -70,6 +71,7 @@ def command(
     size: str | None,
     dpi: float | None,
     selections: tuple[str, ...],
+    samples: Path | None,
     model: str | None,
 ) -> None:
     """Draw a model, BRDF samples or a fit.
@@ -81,14 +83,14 @@ def command(
     INPUT.
     """
     named = source.startswith(SIGNS)
-    given(model)
+    given(model, Path(source))
     if output is None:
         name = source.partition(":")[2] if named else source
         output = Path(f"{name}.png") if named else Path(source).with_suffix(".png")
     _check(None if named else Path(source), output, kind, items)
     inches = _inches(size, dpi)
     kind = kind or ("lobe" if named else "summary")
-    figure = _figure(source, kind, _parameters(source, items) if named else {}, selections)
+    figure = _figure(source, kind, _parameters(source, items) if named else {}, selections, samples)
     if kind == "summary" and inches is not None:
         _check_page(inches, tuple(figure.get_size_inches()))
     from gonio.plotting import save
@@ -134,7 +136,7 @@ def _check_page(size: tuple[float, float], own: tuple[float, float]) -> None:
     least = SMALLEST_PAGE * own[0], SMALLEST_PAGE * own[1]
     if size[0] < least[0] or size[1] < least[1]:
         raise ConfigurationError(
-            f"the whole page needs {least[0]:.3g} x {least[1]:.3g} inches at least and --size is "
+            f"the whole page needs at least {least[0]:.3g} x {least[1]:.3g} inches and --size is "
             f"{size[0]:.3g} x {size[1]:.3g} inches; draw one picture of it with --kind slices, "
             "for instance.",
             value=size,
@@ -153,7 +155,11 @@ def _parameters(source: str, items: tuple[str, ...]) -> dict[str, float]:
 
 
 def _figure(
-    source: str, kind: str | None, parameters: dict[str, float], selections: tuple[str, ...]
+    source: str,
+    kind: str | None,
+    parameters: dict[str, float],
+    selections: tuple[str, ...],
+    samples: Path | None,
 ) -> Figure:
     """The figure, with the options' names in the messages."""
     from gonio.cli.joint import chooser
@@ -167,6 +173,7 @@ def _figure(
                 source,
                 kind,
                 parameters=parameters,
+                samples=samples,
                 select=pairs(selections),
                 choose=chooser(Path(source), selections, middle=True) if fit else None,
                 note=lambda text: click.echo(text, err=True),

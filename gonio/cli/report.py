@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import rich_click as click
 
 from gonio.cli.inputs import require_fit
-from gonio.cli.options import given, model_of_fit
+from gonio.cli.options import given, model_of_fit, samples_of_fit
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Print the table of parameters as LaTeX; no page without -o.",
 )
+@samples_of_fit
 @model_of_fit
 def command(
     source: Path,
@@ -86,6 +87,7 @@ def command(
     dof: float | None,
     as_csv: bool,
     as_latex: bool,
+    samples: Path | None,
     model: str | None,
 ) -> None:
     """Write a fit as one HTML page that opens without a network and prints.
@@ -100,11 +102,11 @@ def command(
 
     refuse_both(as_csv, as_latex)
     only_table = (as_csv or as_latex) and output is None
-    given(model)
+    given(model, source)
     output = source.with_suffix(".html") if output is None else output
     if output.suffix.lower() not in (".html", ".htm"):
         raise ConfigurationError(
-            f"{output}: a report is written as .html; give a name that ends so.", value=output
+            f"{output}: a report is written as HTML; give a name that ends in .html.", value=output
         )
     if not only_table:
         check_target(output)
@@ -122,6 +124,7 @@ def command(
     with stages() as callback:
         made = report(
             source,
+            samples=samples,
             choose=choose,
             operator=operator,
             dates=dates,

@@ -23,6 +23,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
+from gonio.kernels import compiling
 from gonio.kernels.arrays import ArrayKernel, loops_of, moment_loops_of, texel_loops_of
 from gonio.kernels.generated import generated_module
 from gonio.kernels.kept import kept_around
@@ -202,6 +203,7 @@ def _compiled_record(
         path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))
     ]
     read_in, complete = ingredients(reached(source))
+    compiling.watch()
     module = generated_module(
         (source.__module__ or "kernel").replace(".", "_") + suffix,
         module_text(*pieces),

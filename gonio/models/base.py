@@ -110,8 +110,10 @@ class Model:
         Raises
         ------
         ConfigurationError
-            If the function fails at the default parameters, returns another number of values or
-            none that are real and finite, or a parameter is declared wrongly.
+            If the function does not take the parameters by their names, returns another number of
+            values or none that are real and finite, or a parameter is declared wrongly.
+        DataError
+            If the function raises an exception, at the default parameters or later.
 
         Examples
         --------
@@ -156,6 +158,11 @@ class Model:
         """
         w_i, w_r = directions.vectors()
         return self.evaluate(w_i, w_r, self.vector(parameters))
+
+    @property
+    def heading(self) -> str:
+        """Title, with the reference where there is one."""
+        return f"{self.title} ({self.reference})" if self.reference else self.title
 
     @property
     def names(self) -> tuple[str, ...]:

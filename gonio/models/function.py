@@ -9,6 +9,7 @@ digits. Which it is is decided once, by trying both at the default parameters.
 from __future__ import annotations
 
 import inspect
+import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.errors import ConfigurationError
+from gonio.errors import ConfigurationError, DataError, GonioError
 from gonio.geometry import Directions, FloatArray, angles
 from gonio.kernels.arrays import ArrayKernel
 from gonio.models.parameter import Parameter
@@ -25,6 +26,7 @@ Given = Sequence[str | Parameter] | Mapping[str, tuple[float, float, float]] | N
 
 COMPLEX_STEP = 1e-20  # of the parameter's size: no difference is taken, so nothing is rounded off
 STEP = float(np.finfo(float).eps ** (1 / 3))  # best for a central difference
+_BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 AGREE = 1e-5  # of the largest derivative: what differences may be off by
 # Pairs of directions at which a function is tried: anywhere, and about the mirror direction.
 _THETA = np.linspace(0.05, 1.3, 12)
@@ -44,7 +46,9 @@ def array_kernel(
     Raises
     ------
     ConfigurationError
-        If the function fails there, or what it returns is not one real number for each pair.
+        If what the function returns there is not one real number for each pair.
+    DataError
+        If the function raises an exception there.
     """
     real = _Function(function, parameters, name, complex_step=False)
     w_i, w_r = _TRIED.vectors()
@@ -136,7 +140,17 @@ class _Function:
     def _called(self, where: Directions, p: Any) -> Any:
         """What the function returns, one number for each pair."""
         named = {q.name: value for q, value in zip(self.parameters, p.tolist(), strict=True)}
-        values = np.asarray(self.function(where, **named))
+        try:
+            values = np.asarray(self.function(where, **named))
+        except GonioError:
+            raise
+        except Exception as error:  # whatever the function of a user raises
+            raise DataError(
+                f"{self.name}: the function raises {type(error).__name__}: {error}{_line(error)}. "
+                "It is called with gonio.Directions, arrays of theta_i, phi_i, theta_r and phi_r "
+                "in radians, and with its parameters by name.",
+                value=named,
+            ) from error
         if values.shape == ():
             values = np.broadcast_to(values, where.shape)
         if values.shape != where.shape:
@@ -157,6 +171,12 @@ class _Function:
         return np.asarray(values, float)
 
 
+def _line(error: BaseException) -> str:
+    """Where an error was raised, if in a file of lines."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f" (line {last.lineno} of {last.filename})"
+
+
 def _directions(w_i: FloatArray, w_r: FloatArray) -> Directions:
     """Pairs of unit vectors as the angles that the function takes."""
     (theta_i, phi_i), (theta_r, phi_r) = angles(w_i), angles(w_r)
@@ -172,6 +192,15 @@ def declared(function: Callable[..., Any], given: Given) -> tuple[Parameter, ...
         If a range or a default cannot be used, or the function does not take a parameter.
     """
     taken = _signature(function)
+    records = _records(function, given, taken)
+    _check_names(function, [q.name for q in records])
+    return records
+
+
+def _records(
+    function: Callable[..., Any], given: Given, taken: Mapping[str, Any]
+) -> tuple[Parameter, ...]:
+    """The records, whatever the function takes."""
     if given is None:
         given = list(taken)
     if isinstance(given, str):
@@ -189,14 +218,35 @@ def declared(function: Callable[..., Any], given: Given) -> tuple[Parameter, ...
     )
 
 
+def _check_names(function: Callable[..., Any], names: Sequence[str]) -> None:
+    """Refuse parameters that the function does not take, and arguments that nothing sets."""
+    try:
+        arguments = list(inspect.signature(function).parameters.values())[1:]
+    except (TypeError, ValueError):
+        return
+    called = getattr(function, "__name__", "the function")
+    own = [q.name for q in arguments if q.kind in _BY_NAME]
+    extra = [] if any(q.kind is q.VAR_KEYWORD for q in arguments) else set(names) - set(own)
+    missing = {q.name for q in arguments if q.kind in _BY_NAME and q.default is q.empty}
+    missing -= set(names)
+    if extra or missing:
+        wrong = f"takes no {' and no '.join(sorted(extra))}" if extra else ""
+        lacking = f"needs {' and '.join(sorted(missing))}" if missing else ""
+        raise ConfigurationError(
+            f"{called} {' and '.join(filter(None, [wrong, lacking]))}; its arguments after the "
+            f"directions are {', '.join(own) or 'none'}, and the parameters given are "
+            f"{', '.join(names)}. Give the parameters the names of the arguments.",
+            value=list(names),
+        )
+
+
 def _signature(function: Callable[..., Any]) -> dict[str, Any]:
     """Names that a function takes after the directions, with their defaults."""
     try:
         arguments = list(inspect.signature(function).parameters.values())[1:]
     except (TypeError, ValueError):
         return {}
-    kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    return {q.name: q.default for q in arguments if q.kind in kinds}
+    return {q.name: q.default for q in arguments if q.kind in _BY_NAME}
 
 
 def _ranged(name: str, value: Any) -> Parameter:

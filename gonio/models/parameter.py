@@ -57,6 +57,17 @@ class Parameter:
         """Value in the unit of Python, from the unit of files."""
         return math.radians(value) if self.unit == "rad" else value
 
+    def file_text(self, value: float) -> str:
+        """A value in the unit of files, with that unit.
+
+        Examples
+        --------
+        >>> Parameter("sigma", "sigma", "slope angle", 0.3, 0.0, 1.5, "rad").file_text(0.5)
+        '28.6479 deg'
+        """
+        unit = f" {self.file_unit}" if self.file_unit else ""
+        return f"{self.to_file(value):.6g}{unit}"
+
     def check(self, value: float) -> float:
         """The value as a float if it lies in the range.
 

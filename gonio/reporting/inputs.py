@@ -12,10 +12,12 @@ import gonio.formats as formats
 from gonio.errors import ConfigurationError, DataError, GonioError
 from gonio.files import sha256_of
 from gonio.fitting.problem.copies import usable
+from gonio.fitting.provenance import data_hash
 from gonio.fitting.result import FitResult
 from gonio.plotting.summary import read_draws
 from gonio.samples import BRDFSamples
 from gonio.session import Session
+from gonio.wording import counted
 
 Reducer = Callable[[Session], BRDFSamples]
 
@@ -51,6 +53,7 @@ def gather(
     source: str | Path,
     reducer: Reducer | None = None,
     choose: Callable[[FitResult], FitResult] | None = None,
+    samples: BRDFSamples | str | Path | None = None,
 ) -> Inputs:
     """Read a fit and look for its samples, session and draws by the names they had.
 
@@ -65,11 +68,13 @@ def gather(
         not given.
     choose : callable, optional
         Takes one part out of a joint fit.
+    samples : BRDFSamples or path, optional
+        Those that the fit was made to, where they are not to be looked for.
 
     Raises
     ------
     DataError
-        If the fit is missing or is not a fit.
+        If the fit is missing or is not a fit, or the given samples are not those of the fit.
     ConfigurationError
         If it is a joint fit and no part was chosen.
     """
@@ -78,15 +83,19 @@ def gather(
     fit = fit if choose is None else choose(fit)
     if fit.parts:
         raise ConfigurationError(
-            f"{source}: is a joint fit of {', '.join(part.name for part in fit.parts)}; give one "
-            "of them: its method part().",
+            f"{source}: a joint fit of {', '.join(part.name for part in fit.parts)}; choose one "
+            "of them with its method part().",
             value=source,
         )
     absent: list[str] = []
-    samples = _or_none(absent, "samples", lambda: _samples(source, fit, reducer or _reduce))
+    reducer = reducer or _reduce
+    if samples is None:
+        measured = _or_none(absent, "samples", lambda: _samples(source, fit, reducer))
+    else:
+        measured = _given(samples, fit, reducer)
     session = _or_none(absent, "session", lambda: _session(source, fit))
     draws = _or_none(absent, "draws", lambda: _draws(source, fit))
-    return Inputs(fit, source.name, samples, session, draws, tuple(absent))
+    return Inputs(fit, source.name, measured, session, draws, tuple(absent))
 
 
 def _or_none(absent: list[str], kind: str, read: Callable[[], Any]) -> Any:
@@ -103,23 +112,49 @@ def _samples(source: Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
     if not name:
         raise DataError("the fit does not say which samples it was made to.")
     path = _find(str(name), source)
-    select: Mapping[str, str] = fit.cuts.get("select") or {}
-    if path.is_dir():
-        session = Session.open(path)
-        session.require_complete()
-        samples = formats.choose(reducer(session), select)
-    else:
+    if path.is_file():
         _require_unchanged(path, fit)
-        samples = formats.read(path, select=select)
-    limits = [fit.cuts.get(f"max_{angle}_deg") for angle in ("theta_i", "theta_r")]
-    theta_i, theta_r = (None if limit is None else radians(float(limit)) for limit in limits)
-    samples = usable(samples.limited(max_theta_i=theta_i, max_theta_r=theta_r))
+    samples = _as_fitted(_read(path, reducer), fit)
     if len(samples) != fit.n_samples:
         raise DataError(
-            f"{name} holds {len(samples)} samples and the fit was made to {fit.n_samples}; it has "
-            "changed since."
+            f"{name} holds {counted(len(samples), 'sample')} and the fit was made to "
+            f"{fit.n_samples}; it has changed since."
         )
     return samples
+
+
+def _given(samples: BRDFSamples | str | Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
+    """Samples that the caller names; their numbers must be those of the fit."""
+    named = "the samples" if isinstance(samples, BRDFSamples) else str(samples)
+    if not isinstance(samples, BRDFSamples):
+        samples = _read(Path(samples), reducer)
+    samples = _as_fitted(samples, fit)
+    recorded = None if fit.source.get("joint") else fit.source.get("data_sha256")
+    if len(samples) != fit.n_samples or (recorded and data_hash(samples) != recorded):
+        raise DataError(
+            f"{named}: not the samples that the fit was made to (their number or SHA-256 "
+            "differs); give those, or fit again.",
+            value=named,
+        )
+    return samples
+
+
+def _read(path: Path, reducer: Reducer) -> BRDFSamples:
+    """The samples of a file or of a session."""
+    if not path.is_dir():
+        return formats.read(path)
+    session = Session.open(path)
+    session.require_complete()
+    return reducer(session)
+
+
+def _as_fitted(samples: BRDFSamples, fit: FitResult) -> BRDFSamples:
+    """The samples that a fit takes of these, by its selection and limits."""
+    select: Mapping[str, str] = fit.cuts.get("select") or {}
+    samples = formats.choose(samples, select)
+    limits = [fit.cuts.get(f"max_{angle}_deg") for angle in ("theta_i", "theta_r")]
+    theta_i, theta_r = (None if limit is None else radians(float(limit)) for limit in limits)
+    return usable(samples.limited(max_theta_i=theta_i, max_theta_r=theta_r))
 
 
 def _require_unchanged(path: Path, fit: FitResult) -> None:

@@ -134,6 +134,8 @@ class SampleRecord:
             if column is not None and not isinstance(column, np.ndarray):
                 object.__setattr__(self, name, np.asarray(column, kind))
         n = len(self)
+        if self.u_independent is not None and self.u_independent.shape == ():
+            object.__setattr__(self, "u_independent", np.full(n, float(self.u_independent)))
         if self.value.ndim != 1 or self.directions.shape != (n,):
             raise DataError(
                 f"samples need one list of directions for one list of values; got directions of "
@@ -152,9 +154,15 @@ class SampleRecord:
         for name in PER_SAMPLE:
             column = getattr(self, name)
             if column is not None and column.shape != (n,):
-                raise DataError(f"{name} has shape {column.shape}, not ({n},).")
+                called = "the uncertainty (u_independent)" if name == "u_independent" else name
+                raise DataError(f"{called} has shape {column.shape}, not ({n},).")
         if self.u_independent is not None and not np.all(self.u_independent > 0):
-            raise DataError("u_brdf must be positive; leave the column out where unknown.")
+            worst = float(np.min(self.u_independent))
+            raise DataError(
+                f"the uncertainty (u_independent, in files u_brdf) must be positive, and one is "
+                f"{worst:.6g}; leave it out where unknown.",
+                value=worst,
+            )
 
     def __len__(self) -> int:
         return len(self.value)

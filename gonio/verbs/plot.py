@@ -70,7 +70,7 @@ def plot(
     kind: str | None = None,
     *,
     parameters: Mapping[str, float] | None = None,
-    samples: BRDFSamples | None = None,
+    samples: BRDFSamples | str | Path | None = None,
     select: Mapping[str, str] | None = None,
     choose: Callable[[FitResult], FitResult] | None = None,
     note: Note | None = None,
@@ -89,8 +89,9 @@ def plot(
         default: one page with all of them, or the lobe of a model.
     parameters : mapping of str to float, optional
         Parameters of a model, radians for angles.
-    samples : BRDFSamples, optional
-        The samples of a `FitResult`; by default those that a fit of this process was made of.
+    samples : BRDFSamples or path, optional
+        The samples of a fit. By default those that a fit of this process was made to, or those
+        that a FIT.json names.
     select : mapping of str to str, optional
         Part of a file or of a joint fit: ``{"wavelength": "650"}``, ``{"channel": "red"}`` or
         ``{"part": NAME}``.
@@ -149,7 +150,7 @@ def _called(source: object) -> str:
 def _content(
     source: Model | FitResult | BRDFSamples | Session | Path | str,
     parameters: Mapping[str, float] | None,
-    samples: BRDFSamples | None,
+    samples: BRDFSamples | str | Path | None,
     reader: _Reader,
 ) -> _Content:
     match source:
@@ -159,6 +160,8 @@ def _content(
             choose = reader.choose or part_chooser(reader.select)
             if samples is None and source.memory is not None and not source.parts:
                 samples = source.memory.samples
+            elif isinstance(samples, str | Path):
+                samples = formats.read(Path(samples))
             return _of_fit(choose(source), samples, None, None)
         case BRDFSamples():
             chosen = formats.choose(source, reader.select)
@@ -171,31 +174,33 @@ def _content(
             chosen_model, values = named_surface(model, material, parameters)
             return _Content(model=chosen_model, parameters=values)
         case _:
-            return _read(Path(source), reader)
+            return _read(Path(source), samples, reader)
 
 
-def _read(source: Path, reader: _Reader) -> _Content:
+def _read(source: Path, given: BRDFSamples | str | Path | None, reader: _Reader) -> _Content:
     from gonio.reading import load_with_session
 
     if source.suffix == ".json":
-        return _fitted(source, reader)
+        return _fitted(source, given, reader)
+    if given is not None:
+        raise ConfigurationError(f"samples go with a fit, and {source} is not one; leave them out.")
     samples, session = load_with_session(source, reader.select, progress=reader.progress)
     session = session or _session(source, samples, reader.note)
     return _Content(samples=_one_channel(str(source), samples, reader.note), session=session)
 
 
-def _fitted(source: Path, reader: _Reader) -> _Content:
+def _fitted(source: Path, given: BRDFSamples | str | Path | None, reader: _Reader) -> _Content:
     """A fit with its samples, which must exist, and its session and draws, which may be missing."""
     from gonio.reporting.inputs import gather
     from gonio.verbs.report import reducer
 
     choose = reader.choose or part_chooser(reader.select, where=str(source))
-    inputs = gather(source, reducer(reader.progress), choose)
+    inputs = gather(source, reducer(reader.progress), choose, given)
     if inputs.samples is None:
         why = next(line for line in inputs.absent if line.startswith("The samples: "))
         raise DataError(
-            f"{source}: {why.removeprefix('The samples: ')} Change to the folder in which "
-            "'gonio fit' was run, or make the fit again.",
+            f"{source}: {why.removeprefix('The samples: ')} Give them with --samples FILE, in "
+            "Python with samples=.",
             value=source,
         )
     for line in inputs.absent:

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import gonio.formats as formats
 from gonio.calibration.reduction.reduce import reduce
+from gonio.errors import ConfigurationError
 from gonio.files import write_text
 from gonio.fitting.part_choice import part_chooser
 from gonio.fitting.result import FitResult
@@ -43,8 +45,9 @@ class Report:
 
 def report(
     fit: FitResult | str | Path,
+    output: str | Path | None = None,
     *,
-    samples: BRDFSamples | None = None,
+    samples: BRDFSamples | str | Path | None = None,
     session: Session | None = None,
     select: Mapping[str, str] | None = None,
     choose: Callable[[FitResult], FitResult] | None = None,
@@ -63,8 +66,11 @@ def report(
     fit : FitResult or path
         A fit, or the FIT.json of one. The samples, session and draws of a file are looked
         for by the names they had, in the current folder and in that of the file.
-    samples : BRDFSamples, optional
-        Samples of a fit in memory.
+    output : path, optional
+        Where to write the page, .html; `Report.save` writes it later.
+    samples : BRDFSamples or path, optional
+        The samples of the fit. By default those that a FIT.json names, or those that a fit of
+        this process was made to.
     session : Session, optional
         The raw frames behind a fit in memory.
     select : mapping of str to str, optional
@@ -98,7 +104,7 @@ def report(
         If the file is missing or no fit.
     ConfigurationError
         If it is a joint fit and no part is chosen, or a date, a serial number, the coverage or
-        the degrees of freedom cannot be read.
+        the degrees of freedom cannot be read, or the output does not end in .html.
 
     Examples
     --------
@@ -112,14 +118,36 @@ def report(
     >>> made.html.startswith("<!DOCTYPE html>"), "U (k = 2)" in made.html
     (True, True)
     """
+    if output is not None:
+        check_page_name(Path(output))
     stated = statement(operator, dates, issued, serials, coverage, dof)
     if isinstance(fit, FitResult):
         part = (choose or part_chooser(select or {}))(fit)
+        if samples is None and fit.memory is not None and not fit.parts:
+            samples = fit.memory.samples
+        elif isinstance(samples, str | Path):
+            samples = formats.read(Path(samples))
         inputs = Inputs(part, "the fit", samples, session)
     else:
         choose = choose or part_chooser(select or {}, where=str(fit))
-        inputs = gather(fit, reducer(progress), choose)
-    return Report(page(inputs, stated), inputs.absent)
+        inputs = gather(fit, reducer(progress), choose, samples)
+    made = Report(page(inputs, stated), inputs.absent)
+    if output is not None:
+        made.save(output)
+    return made
+
+
+def check_page_name(path: Path) -> None:
+    """Refuse a name that no browser would take for a page.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ConfigurationError(
+            f"{path}: a report is written as HTML; give a name that ends in .html.", value=path
+        )
 
 
 def reducer(progress: StagedProgress | None) -> Callable[[Session], BRDFSamples]:

@@ -247,8 +247,8 @@ def test_reducer_and_fitter_do_not_know_the_truth(folder: str) -> None:
 # The floors of a room, ground floor first: a sub-room imports those of lower floors, and itself.
 FLOORS: dict[str, list[set[str]]] = {
     "calibration": [
-        {"reflector", "image_cells", "budget"},
-        {"frames", "lens"},
+        {"reflector", "image_cells", "budget_page"},
+        {"budget", "frames", "lens"},
         {"dome"},
         {"effects", "faults"},
         {"reduction"},

@@ -70,9 +70,10 @@ docs: $(INSTALLED)  ## build the documentation site into build/docs
 	$(BIN)/sphinx-build -q -n -W --keep-going -d build/doctrees docs build/docs
 	@echo "open build/docs/index.html"
 
-# setuptools puts whatever an earlier build left in build/ into the next one: start empty.
+# setuptools puts whatever an earlier build left in build/lib into the next one: start empty.
+# build/docs stays: `make -j2 types docs` makes both at once.
 copy: $(INSTALLED)
-	@rm -rf build
+	@rm -rf build/lib build/bdist.* $(COPY)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --no-compile \
 	    --target $(COPY) .
 

@@ -346,6 +346,9 @@ class JointProblem:
     def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
+    def profiled_change(self) -> FloatArray:
+        return np.zeros(self.n)
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         return shared_changes(self, p)
 

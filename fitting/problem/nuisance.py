@@ -201,8 +201,8 @@ class NuisanceProblem:
     def with_directions(
         self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0
     ) -> NuisanceProblem:
-        """The problem itself: its directions are those to which z0 moves them."""
-        return self
+        """The problem with its directions moved from where z0 has them; U and z0 stay."""
+        return replace(self, moved=self.moved.with_directions(shift=shift, turn=turn))
 
     def pieces(self) -> list[tuple[Problem, slice, NDArray[np.int64]]]:
         return [(self, slice(0, self.n), np.arange(len(self.parameters)))]
@@ -269,6 +269,9 @@ class NuisanceProblem:
                 for k, label in enumerate(term.labels)
             ]
         return draws
+
+    def profiled_change(self) -> FloatArray:
+        return np.asarray(self.basis @ self.z0)
 
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         f = self.moved.values(p)

@@ -183,5 +183,8 @@ class PenalisedProblem:
     def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return self.data.profiled_draws(p, determined)
 
+    def profiled_change(self) -> FloatArray:
+        return self.data.profiled_change()
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         return self.data.shared_changes(p)

@@ -163,6 +163,9 @@ class Problem(Protocol):
         `determined` (P,) are the unknowns that the data determine at the minimum p.
         """
 
+    def profiled_change(self) -> FloatArray:
+        """What the profiled draws, at their estimates, add to the expectations, (N,)."""
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         """Change (N,) of the samples by one standard deviation of each of their shared errors."""
 

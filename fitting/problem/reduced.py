@@ -229,6 +229,9 @@ class ReducedProblem:
     def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
+    def profiled_change(self) -> FloatArray:
+        return np.zeros(self.n)
+
     def shared_changes(self, p: FloatArray) -> list[FloatArray]:
         return shared_changes(self, p)
 

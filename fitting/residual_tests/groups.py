@@ -40,7 +40,7 @@ def groupings_of(problem: Problem) -> dict[str, Grouping]:
     w_i, w_r = unit_vectors(theta_i, phi_i), unit_vectors(theta_r, phi_r)
     mirror = unit_vectors(theta_i, phi_i + np.pi)
     away = 2 * np.arcsin(np.clip(np.linalg.norm(w_r - mirror, axis=1) / 2, 0, 1))
-    incidence = _classes(np.degrees(theta_i), min(MOST_INCIDENCES, max(1, n // 60)))
+    incidence = classes(np.degrees(theta_i), min(MOST_INCIDENCES, max(1, n // 60)))
     middle = [float(np.median(np.degrees(theta_i)[incidence == k]))
               for k in range(incidence.max(initial=0) + 1)]  # fmt: skip
     ring = np.searchsorted(np.radians(RINGS_DEG), away)
@@ -48,7 +48,7 @@ def groupings_of(problem: Problem) -> dict[str, Grouping]:
     azimuth = np.degrees(np.arctan2(half[:, 1], half[:, 0])) % 180
     sector = np.minimum((azimuth / 22.5).astype(np.int64), 7)
     near = np.minimum(np.searchsorted(np.radians([8.0, 25.0]), away), 2)
-    polar = _classes(np.degrees(theta_r), 12)
+    polar = classes(np.degrees(theta_r), 12)
     middle_r = [float(np.median(np.degrees(theta_r)[polar == k]))
                 for k in range(polar.max(initial=0) + 1)]  # fmt: skip
     cells, cell_words = _cells(theta_r, phi_r - phi_i - np.pi)
@@ -73,7 +73,7 @@ def groupings_of(problem: Problem) -> dict[str, Grouping]:
     }
 
 
-def _classes(values: FloatArray, most: int) -> NDArray[np.int64]:
+def classes(values: FloatArray, most: int) -> NDArray[np.int64]:
     """Classes of values: the values themselves (to 1 deg) where few, else equally filled."""
     levels, number = np.unique(np.round(values), return_inverse=True)
     if len(levels) > most:

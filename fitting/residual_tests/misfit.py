@@ -1,0 +1,119 @@
+"""Whether the residuals of a fit have structure that noise has not: tests of variance components.
+
+Under a true model the standardised residuals are white. Four kinds of error of the model are looked
+for: one that is smooth over half and difference angle, one that varies quickly over them, one that
+is smooth over viewing direction and angle of incidence, and a factor of each incidence. Each is a
+variance component whose score test is exact for normal noise of any size; Cauchy's rule combines
+them. The size of the noise drops out; how it depends on f must be right, so that noise that nobody
+stated is taken as sd^2 = a + b f^2 with a and b from the scatter itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.residual_tests.model_errors import error_columns
+from gonio.fitting.residual_tests.quadratic_forms import combined, component_test
+from gonio.fitting.residual_tests.standardised import MOST, Noise, Standardised, standardise
+
+ALARM = 0.01  # share of true models in which structure is reported
+
+
+@dataclass(frozen=True)
+class MisfitTest:
+    """Whether the residuals have structure that independent noise and shared errors do not make.
+
+    Parameters
+    ----------
+    p : float
+        Chance of structure as clear under a true model: the components combined by Cauchy's rule.
+    components : mapping of str to float
+        p-value of each kind of error, in words; of the parts of a joint fit their combination. A
+        kind that the samples cannot tell from the parameters is left out.
+    parts : tuple of float
+        p-value of each part of a joint fit, in their order; of one BRDF `p` alone.
+    noise : {"stated", "from the residuals"}
+        Where the size of the noise comes from, and how it depends on f.
+    n, n_all : int
+        Samples that were examined, evenly chosen, of so many.
+    dof : int
+        Degrees of freedom of the residuals that were examined.
+    """
+
+    p: float
+    components: Mapping[str, float]
+    parts: tuple[float, ...]
+    noise: Noise
+    n: int
+    n_all: int
+    dof: int
+
+    @property
+    def structured(self) -> bool:
+        """Whether the structure is clearer than in 99 % of true models."""
+        return self.p < ALARM
+
+
+def misfit_test(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> MisfitTest | None:
+    """Test the residuals of a fit for structure.
+
+    Parameters
+    ----------
+    minimum : Minimum
+        Of a problem of any kind: over one BRDF or several, reduced, with profiled shared errors,
+        or penalised.
+    most : int
+        Samples that are examined; more are thinned evenly.
+    shared : bool
+        With the errors that samples share in the covariance of the residuals, as `SharedTerm`
+        states them; without them they count as errors of the model.
+
+    Returns
+    -------
+    MisfitTest or None
+        None where the residuals are rounding or have fewer than 8 degrees of freedom.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from gonio.fitting.minimum.find import find_minimum
+    >>> from gonio.geometry import Directions
+    >>> from gonio.models import get
+    >>> from gonio.samples import BRDFSamples
+    >>> theta = np.tile(np.linspace(0, 1.2, 40), 3)
+    >>> directions = Directions(np.repeat([0.1, 0.5, 0.9], 40), 0.0, theta, np.pi)
+    >>> noise = 0.01 * np.random.default_rng(1).standard_normal(120)
+    >>> samples = BRDFSamples(directions, 0.1 + noise, np.full(120, 0.01))
+    >>> misfit_test(find_minimum(samples, get("lambert"))).structured
+    False
+    >>> samples = BRDFSamples(directions, 0.1 + 0.1 * theta + noise, np.full(120, 0.01))
+    >>> misfit_test(find_minimum(samples, get("lambert"))).structured
+    True
+    """
+    left = standardise(minimum, most=most, shared=shared)
+    return None if left is None else test_of(left)
+
+
+def test_of(left: Standardised) -> MisfitTest:
+    """The test of residuals that are standardised already."""
+    found: dict[str, list[float]] = {}
+    parts = []
+    for piece, where, _ in left.problem.pieces():
+        own = []
+        for name, columns in error_columns(piece, left.level[where]).items():
+            p = left.component_test(columns, where)
+            if p is not None:
+                own.append(p)
+                found.setdefault(name, []).append(p)
+        parts.append(combined(own))
+    return MisfitTest(
+        p=combined([p for own in found.values() for p in own]),
+        components={name: combined(own) for name, own in found.items()},
+        parts=tuple(parts),
+        noise=left.noise,
+        n=left.problem.n,
+        n_all=left.n_all,
+        dof=left.dof,
+    )

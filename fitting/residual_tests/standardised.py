@@ -1,0 +1,168 @@
+"""Residuals in units of the noise, with errors that samples share in their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.shared_columns import shared_columns, thinned
+from gonio.fitting.residual_tests.quadratic_forms import component_test
+from gonio.fitting.residual_tests.whitened import ROUNDING, scatter_weights
+from gonio.geometry import FloatArray
+
+MOST = 20_000  # samples that are examined: enough for any structure that matters
+LEAST = 8  # degrees of freedom that a test of structure needs
+UNDETERMINED = 1e-10  # squared singular value of scaled columns that is no information
+
+Noise = Literal["stated", "from the residuals"]
+
+
+@dataclass(frozen=True)
+class Standardised:
+    """Residuals z ~ N(0, s^2 1) of a true model, and the directions Q that the fit can follow.
+
+    With the covariance C = W^-1 + U U^T of independent and shared errors z = C^-1/2 (y - f), and
+    everything that is compared with z is multiplied by C^-1/2 as well.
+
+    Parameters
+    ----------
+    problem : Problem
+        Over the samples that are examined.
+    z : ndarray, shape (N,)
+        With Q projected out.
+    q : ndarray, shape (N, R)
+        Orthonormal columns that span C^-1/2 df/dp.
+    level : ndarray, shape (N,)
+        Model values in units of the independent noise.
+    root : ndarray, shape (N,)
+        One over the independent noise.
+    noise : {"stated", "from the residuals"}
+        Whose size the noise has: s is 1, or unknown.
+    n_all : int
+        Samples of the fit, of which these are evenly chosen ones.
+    shared : Any
+        W^1/2 U, sparse (N, draws).
+    inner : ndarray, shape (draws, draws)
+        (1 + V^T V)^-1 with V = W^1/2 U, so that W^-1/2 C^-1 W^-1/2 = 1 - V inner V^T.
+    """
+
+    problem: Problem
+    z: FloatArray
+    q: FloatArray
+    level: FloatArray
+    root: FloatArray
+    noise: Noise
+    n_all: int
+    shared: Any
+    inner: FloatArray
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of |z|^2."""
+        return len(self.z) - self.q.shape[1]
+
+    def component_test(self, columns: FloatArray, where: slice) -> float | None:
+        """p-value of no error of the model with the covariance C C^T.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n, C)
+            C in units of the independent noise, over the samples of one part; 0 in all others.
+        where : slice
+            Those samples.
+        """
+        size = max(float(np.sqrt(np.max(np.sum(columns**2, axis=0)))), 1e-300)
+        columns = columns / size
+        v = self.shared[where]
+        by_shared = v.T @ columns
+        by_fit = self._colored_q[where].T @ columns
+        gram = columns.T @ columns - by_fit.T @ by_fit - by_shared.T @ self.inner @ by_shared
+        score = float(np.sum((columns.T @ self._colored_z[where]) ** 2))
+        return component_test(gram, score, float(self.z @ self.z), self.dof)
+
+    @cached_property
+    def _colored_z(self) -> FloatArray:
+        return decorrelated(self.shared, self.z[:, None])[:, 0]
+
+    @cached_property
+    def _colored_q(self) -> FloatArray:
+        return decorrelated(self.shared, self.q)
+
+
+def standardise(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> Standardised | None:
+    """Residuals of a fit in units of the noise; None where fewer than 8 degrees of freedom remain.
+
+    Parameters
+    ----------
+    minimum : Minimum
+        Of any problem.
+    most : int
+        Samples that are examined; more are thinned evenly.
+    shared : bool
+        With errors that the samples share in the covariance; without, all is independent noise.
+    """
+    from scipy.sparse import csr_array, diags_array
+
+    problem, optimum = thinned(minimum.problem, most), minimum.optimum
+    f, jacobian = problem.jacobian(optimum.p)
+    jacobian = jacobian[:, optimum.free & (np.diag(optimum.curvature) > 0)]
+    residual = problem.samples.value - f
+    unit = float(np.max(np.abs(problem.samples.value))) or 1.0
+    if not np.max(np.abs(residual)) > ROUNDING * unit:
+        return None
+    root, noise = _noise(problem, f, residual, unit)
+    draws: Any = csr_array((problem.n, 0))
+    if shared and problem.samples.shared:
+        draws = csr_array(diags_array(root) @ shared_columns(problem, optimum.p, f))
+        residual = residual + problem.profiled_change()
+    whitened = decorrelated(draws, root[:, None] * np.column_stack([jacobian, residual]))
+    q = orthonormal(whitened[:, :-1])
+    z = whitened[:, -1]
+    z = z - q @ (q.T @ z)
+    inner = np.linalg.inv(np.eye(draws.shape[1]) + (draws.T @ draws).toarray())
+    n_all = minimum.problem.n
+    found = Standardised(problem, z, q, root * f, root, noise, n_all, draws, inner)
+    return found if found.dof >= LEAST and float(z @ z) > 0 else None
+
+
+def _noise(
+    problem: Problem, f: FloatArray, residual: FloatArray, unit: float
+) -> tuple[FloatArray, Noise]:
+    """One over the noise, as stated where it is; else sd^2 = a + b f^2 from the scatter, by part."""
+    if problem.weights == "sd":
+        return np.sqrt(problem.inverse_variance), "stated"
+    if problem.samples.u_independent is not None:
+        return 1 / np.sqrt(problem.variance(f, sharing=True)), "stated"
+    root = np.empty(problem.n)
+    for _, where, _ in problem.pieces():
+        root[where] = scatter_weights(f[where] / unit, residual[where] / unit) / unit
+    return root, "from the residuals"
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal columns that span the given ones (N, k), those that rounding makes left out."""
+    size = np.sqrt(np.sum(columns**2, axis=0))
+    columns = columns[:, size > 0] / size[size > 0]
+    if columns.shape[1] == 0:
+        return columns
+    q, triangle = np.linalg.qr(columns)
+    left, s, _ = np.linalg.svd(triangle)
+    return np.asarray(q @ left[:, : len(s)][:, s**2 >= UNDETERMINED])
+
+
+def decorrelated(v: Any, columns: FloatArray) -> FloatArray:
+    """(1 + V V^T)^-1/2 times columns (N, k), V (N, draws) sparse.
+
+    It is 1 + V K V^T, K having -1 / (r (1 + r)) with r^2 = 1 + e for each eigenvalue e of V^T V.
+    """
+    if v.shape[1] == 0:
+        return columns
+    values, vectors = np.linalg.eigh(np.asarray((v.T @ v).toarray()))
+    r = np.sqrt(1 + np.maximum(values, 0.0))
+    turned = vectors.T @ (v.T @ columns)
+    return np.asarray(columns - v @ (vectors @ (turned / (r * (1 + r))[:, None])))

@@ -180,7 +180,7 @@ def _hardly(minimum: Minimum, informed: NDArray[np.int64], missing: set[int]) ->
     if len(index) == 0:
         return set()
     h = optimum.curvature
-    variance = np.diag(curvature.inverse(h, index)) * noise**2
+    variance = np.diag(curvature.marginal_inverse(h, optimum.free)[1])[index] * noise**2
     replaceable = set()
     for k, v in zip(index.tolist(), variance, strict=True):
         q = problem.parameters[k]
@@ -198,7 +198,8 @@ def _correlation(
     row_of = {int(k): n for n, k in enumerate(index)}
     r = np.eye(0)
     if len(index):
-        inverse = curvature.inverse(h, index)
+        among = np.isin(np.arange(len(h)), free)
+        inverse = curvature.marginal_inverse(h, among)[1][np.ix_(index, index)]
         sd = np.sqrt(np.diag(inverse))
         r = np.clip(inverse / np.outer(sd, sd), -1, 1)
 
@@ -231,7 +232,8 @@ def _bounds(
     # each with the information of several.
     some = thinned(problem.independent, MOST)
     of_part = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
-    for k, v in zip(index.tolist(), np.diag(curvature.inverse(of_part, index)), strict=True):
+    _, inverse = curvature.marginal_inverse(of_part, optimum.free)
+    for k, v in zip(index.tolist(), np.diag(inverse)[index], strict=True):
         q = problem.parameters[k]
         bounds[q.name] = q.to_file(float(np.sqrt(v))) if v > 0 else None
     return bounds

@@ -34,39 +34,72 @@ def axes(h: FloatArray, index: NDArray[np.int64]) -> tuple[FloatArray, FloatArra
     return values, vectors, scale
 
 
-def determined(h: FloatArray, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Parameters among these that take no part in a direction without information."""
-    is_determined = np.asarray(among & (np.diag(h) > 0))
-    index = np.flatnonzero(is_determined)
-    values, vectors, _ = axes(h, index)
-    for vector in vectors.T[values < UNDETERMINED]:
-        is_determined[index[np.abs(vector) > TAKES_PART]] = False
-    return is_determined
+def marginal_root(
+    h: FloatArray, among: NDArray[np.bool_], limited: tuple[int, ...] = ()
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which of these parameters are determined, and a root of the marginal covariance.
+
+    Parameters
+    ----------
+    h : ndarray, shape (P, P)
+        Curvature J^T W J.
+    among : ndarray of bool, shape (P,)
+        Parameters that are free.
+    limited : tuple of int
+        Reflectances whose sum is held at its limit: they can move along it, but not away from it.
+
+    Returns
+    -------
+    known : ndarray of bool, shape (P,)
+    root : ndarray, shape (P, R)
+        One column for each direction that the data inform. root @ root.T is the covariance of
+        what is determined, for noise of unit size, and the generalised inverse of h that takes
+        the data's score to the parameters. Rows of parameters that are not determined mean
+        nothing.
+
+    Notes
+    -----
+    Directions without information are left out, and not the parameters that take part in them.
+    The others share some of the information with those: were those held, the others would seem
+    known better than they are.
+    """
+    known = np.asarray(among & (np.diag(h) > 0))
+    index = np.flatnonzero(known)
+    root = np.zeros((len(h), 0))
+    if len(index):
+        scale = 1 / np.sqrt(np.diag(h)[index])
+        along = within_sum(scale * np.isin(index, limited))
+        scaled = h[np.ix_(index, index)] * np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(along.T @ scaled @ along)
+        informed = values >= UNDETERMINED
+        vectors = along @ vectors
+        known[index] = ~np.any(np.abs(vectors[:, ~informed]) > TAKES_PART, axis=1)
+        root = np.zeros((len(h), int(np.count_nonzero(informed))))
+        root[index] = scale[:, None] * vectors[:, informed] / np.sqrt(values[informed])
+    return known, root
 
 
-def inverse(h: FloatArray, index: NDArray[np.int64]) -> FloatArray:
-    """Inverse of the curvature of these parameters, in the order of `index`."""
-    scale = np.sqrt(np.diag(h)[index])
-    return np.asarray(
-        np.linalg.inv(h[np.ix_(index, index)] / np.outer(scale, scale)) / np.outer(scale, scale)
-    )
+def marginal_inverse(
+    h: FloatArray, among: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which of these parameters are determined, and their marginal covariance (P, P), else 0."""
+    known, root = marginal_root(h, among)
+    return known, of_known(known, root @ root.T)
+
+
+def of_known(known: NDArray[np.bool_], matrix: FloatArray) -> FloatArray:
+    """A covariance (P, P) with 0 in the rows and columns of what is not known."""
+    return np.asarray(np.where(known[:, None] & known[None], matrix, 0.0))
 
 
 def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Which free parameters the data determine, and the inverse curvature of these, (P, P)."""
-    is_determined = determined(optimum.curvature, optimum.free)
-    index = np.flatnonzero(is_determined)
-    n_p = len(optimum.p)
-    covariance = np.zeros((n_p, n_p))
-    if len(index):
-        scale = 1 / np.sqrt(np.diag(optimum.curvature)[index])
-        scaled = optimum.curvature[np.ix_(index, index)] * np.outer(scale, scale)
-        # Along a sum that is held at its limit the parameters can move, but not away from it.
-        along = within_sum(scale * np.isin(index, optimum.limited))
-        inside = along @ np.linalg.inv(along.T @ scaled @ along) @ along.T
-        covariance[np.ix_(index, index)] = inside * np.outer(scale, scale)
-    is_determined[list(optimum.limited)] = False
-    return is_determined, covariance
+    """Which free parameters the data determine, and the generalised inverse curvature (P, P).
+
+    See `marginal_root`; rows of what is not determined mean nothing.
+    """
+    known, root = marginal_root(optimum.curvature, optimum.free, optimum.limited)
+    known[list(optimum.limited)] = False
+    return known, np.asarray(root @ root.T)
 
 
 def within_sum(c: FloatArray) -> FloatArray:

@@ -343,7 +343,7 @@ class JointProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return weighting.weighted(columns, self.inverse_variance)
 
-    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
+    def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
     def profiled_change(self) -> FloatArray:

@@ -30,6 +30,7 @@ from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import draw_slope
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
+from gonio.kernels.boxed import UNDETERMINED
 from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
 
@@ -243,21 +244,22 @@ class NuisanceProblem:
         """Estimate of every draw where the parameters are p, in units of its prior's sd."""
         return self._absorbed(self._residual(p)) / self.noise
 
-    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
+    def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         """Name, group, estimate and standard uncertainty of every profiled draw.
 
         The covariance of all draws is that of parameters and draws together: (I + U^T W U/s^2 -
-        B (J^T W J)^-1 B^T)^-1 with B = U^T W J, over the parameters that the data determine.
+        B (J^T W J)^-1 B^T)^-1 with B = U^T W J, over the directions that the data inform.
         """
         weight = self.inverse_variance / self.noise**2
         _, jac = self.jacobian(p)
         inner = np.eye(len(self.z0)) + self.basis.T @ (weight[:, None] * self.basis.toarray())
-        if determined.any():
-            jac = jac[:, determined]
+        if informed.any():
+            jac = jac[:, informed]
             scale = np.sqrt(np.sum(weight[:, None] * jac**2, axis=0))
             jac = jac / scale
             cross = np.asarray(self.basis.T @ (weight[:, None] * jac))
-            square = np.linalg.pinv(jac.T @ (weight[:, None] * jac), hermitian=True)
+            square = jac.T @ (weight[:, None] * jac)
+            square = np.linalg.pinv(square, rcond=UNDETERMINED, hermitian=True)
             inner -= cross @ square @ cross.T
         sd = np.sqrt(np.diag(np.linalg.inv((inner + inner.T) / 2)).clip(0, 1))
         z = self.draws(p)

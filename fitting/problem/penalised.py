@@ -180,8 +180,8 @@ class PenalisedProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return self.data.weighted(columns)
 
-    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
-        return self.data.profiled_draws(p, determined)
+    def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
+        return self.data.profiled_draws(p, informed)
 
     def profiled_change(self) -> FloatArray:
         return self.data.profiled_change()

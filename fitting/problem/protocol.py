@@ -157,10 +157,10 @@ class Problem(Protocol):
     def weighted(self, columns: FloatArray) -> FloatArray:
         """Columns (N, k) times the inverse covariance of the samples."""
 
-    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
+    def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         """Name, group, estimate and standard uncertainty of every profiled draw where there is one.
 
-        `determined` (P,) are the unknowns that the data determine at the minimum p.
+        `informed` (P,) are the free unknowns that have an effect on the data at the minimum p.
         """
 
     def profiled_change(self) -> FloatArray:

@@ -226,7 +226,7 @@ class ReducedProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return self.whole.weighted(columns)
 
-    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
+    def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
     def profiled_change(self) -> FloatArray:

@@ -297,7 +297,7 @@ class SingleProblem:
     def weighted(self, columns: FloatArray) -> FloatArray:
         return weighting.weighted(columns, self.inverse_variance)
 
-    def profiled_draws(self, p: FloatArray, determined: NDArray[np.bool_]) -> list[ProfiledDraw]:
+    def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
     def profiled_change(self) -> FloatArray:

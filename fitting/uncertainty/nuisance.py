@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gonio.fitting.minimum.curvature import inverse_curvature
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.result import NuisanceEstimate
 
@@ -16,8 +15,9 @@ INFORMED = 0.05  # smallest part of the prior's variance that data must take awa
 
 def nuisance_estimates(minimum: Minimum) -> tuple[NuisanceEstimate, ...]:
     """Every profiled draw with its standard uncertainty, in units of its prior's; often none."""
-    determined, _ = inverse_curvature(minimum.optimum)
-    draws = minimum.problem.profiled_draws(minimum.optimum.p, determined)
+    optimum = minimum.optimum
+    informed = optimum.free & (np.diag(optimum.curvature) > 0)
+    draws = minimum.problem.profiled_draws(optimum.p, informed)
     return tuple(NuisanceEstimate(*draw) for draw in draws)
 
 

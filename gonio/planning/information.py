@@ -280,11 +280,9 @@ def _compact(term: SharedTerm, n: int) -> NDArray[np.int64]:
 
 
 def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Inverse over the parameters that take no part in a direction without information."""
-    determined = curvature.determined(information, np.ones(len(information), np.bool_))
-    index = np.flatnonzero(determined)
-    inverse = np.zeros_like(information)
-    inverse[np.ix_(index, index)] = curvature.inverse(information, index)
+    """Inverse over the directions with information, and the parameters that it determines."""
+    every = np.ones(len(information), np.bool_)
+    determined, inverse = curvature.marginal_inverse(information, every)
     return inverse, determined
 
 

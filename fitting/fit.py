@@ -25,8 +25,9 @@ from gonio.fitting.problem.losses import CHI2, Loss
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
+from gonio.fitting.residual_tests.misfit import misfit_test
 from gonio.fitting.result import FitResult, PosteriorSummary
-from gonio.fitting.uncertainty.at_minimum import uncertainties
+from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
 from gonio.fitting.uncertainty.reported import all_covariances, all_estimates
@@ -220,13 +221,15 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
         What the model says of every fit, "" for nothing.
     """
     problem = minimum.problem
-    errors, undetected = uncertainties(minimum)
-    estimates, bound_warnings = estimated(minimum, errors)
+    test = misfit_test(minimum) if problem.quadratic else None
+    errors, undetected = honest_uncertainties(minimum, test)
+    estimates, bound_warnings = estimated(minimum, errors, test)
     # What residuals should look like is known for chi-squared alone.
     diagnostics, residual_warnings = diagnose(minimum) if problem.quadratic else ({}, [])
     shared_errors = nuisance_estimates(minimum)
     warnings = warnings_of(minimum, errors) + minimum.warnings
     warnings += condensed(undetected + bound_warnings)
+    warnings += errors.allowance.warnings if errors.allowance else []
     warnings += residual_warnings + pull_warnings(shared_errors)
     summary = priors = None
     if chain is not None:
@@ -246,6 +249,7 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
             "evaluations": minimum.optimum.evaluations,
             "history": list(problem.samples.history),
             **diagnostics,
+            "allowance": errors.allowance.to_dict() if errors.allowance else None,
             "priors": priors,
         },
     }

@@ -346,6 +346,9 @@ class JointProblem:
     def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
+    def profiled_columns(self) -> FloatArray:
+        return np.zeros((self.n, 0))
+
     def profiled_change(self) -> FloatArray:
         return np.zeros(self.n)
 

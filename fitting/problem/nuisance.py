@@ -272,6 +272,9 @@ class NuisanceProblem:
             ]
         return draws
 
+    def profiled_columns(self) -> FloatArray:
+        return np.asarray(self.basis.toarray())
+
     def profiled_change(self) -> FloatArray:
         return np.asarray(self.basis @ self.z0)
 

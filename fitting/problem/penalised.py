@@ -183,6 +183,9 @@ class PenalisedProblem:
     def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return self.data.profiled_draws(p, informed)
 
+    def profiled_columns(self) -> FloatArray:
+        return self.data.profiled_columns()
+
     def profiled_change(self) -> FloatArray:
         return self.data.profiled_change()
 

@@ -163,6 +163,9 @@ class Problem(Protocol):
         `informed` (P,) are the free unknowns that have an effect on the data at the minimum p.
         """
 
+    def profiled_columns(self) -> FloatArray:
+        """Change of the samples for one standard deviation of every profiled draw, (N, draws)."""
+
     def profiled_change(self) -> FloatArray:
         """What the profiled draws, at their estimates, add to the expectations, (N,)."""
 

@@ -300,6 +300,9 @@ class SingleProblem:
     def profiled_draws(self, p: FloatArray, informed: NDArray[np.bool_]) -> list[ProfiledDraw]:
         return []
 
+    def profiled_columns(self) -> FloatArray:
+        return np.zeros((self.n, 0))
+
     def profiled_change(self) -> FloatArray:
         return np.zeros(self.n)
 

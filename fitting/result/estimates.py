@@ -32,6 +32,14 @@ class Estimate:
         The parameter was no unknown: its value was given, and it has no uncertainty.
     tied_to : str or None
         Name of the parameter whose value it takes, as `tied` asks.
+    dof : float or None
+        Degrees of freedom of the standard uncertainty: the intervals take Student's t with them.
+        None where the noise is stated, so that they take the normal distribution, and without a
+        standard uncertainty.
+    established : bool
+        False where a few samples carry the parameter, or where errors of the angles that nobody
+        stated would move it by more than its standard uncertainty: the interval then says less
+        than it seems to.
     """
 
     value: float
@@ -43,6 +51,8 @@ class Estimate:
     components: Mapping[str, float] = field(default_factory=dict)
     fixed: bool = False
     tied_to: str | None = None
+    dof: float | None = None
+    established: bool = True
 
     @property
     def unknown(self) -> bool:

@@ -55,6 +55,8 @@ def page(
     stated = record.weights == "sd" and record.loss == "chi2"
     ratio = f"chi2/dof {record.chi2 / record.dof:.4g}, " if stated else ""
     pieces.append(f"{ratio}status: {record.status.replace('_', ' ')}")
+    allowance = record.diagnostics.get("allowance")
+    pieces += [str(allowance["text"])] if allowance else []
     if record.posterior is not None:
         pieces += posterior_lines(record.posterior)
     if record.nuisance:

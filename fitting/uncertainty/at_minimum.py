@@ -8,18 +8,35 @@ import numpy as np
 
 from gonio.fitting.minimum.minimise import at_lower
 from gonio.fitting.minimum.record import CHI2_95, Minimum
+from gonio.fitting.residual_tests.misfit import MisfitTest
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.correlated_parts import with_correlated_parts
 from gonio.fitting.uncertainty.profile_likelihood import around
+from gonio.fitting.uncertainty.under_misfit import allowing
 
 
 def uncertainties(minimum: Minimum) -> tuple[uncertainty.Uncertainty, list[str]]:
-    """Covariance at a minimum, without parameters of a lobe that may as well not be there.
+    """Covariance at a minimum by its noise, without parameters of a lobe that may not be there.
 
     The list tells of each such lobe.
     """
     errors = with_correlated_parts(minimum, uncertainty.evaluate(minimum))
     return _without_undetected(minimum, errors)
+
+
+def honest_uncertainties(
+    minimum: Minimum, test: MisfitTest | None
+) -> tuple[uncertainty.Uncertainty, list[str]]:
+    """The same with what the residuals show of the model and of the noise allowed for.
+
+    Parameters
+    ----------
+    minimum : Minimum
+    test : MisfitTest or None
+        Of its residuals for structure.
+    """
+    errors = with_correlated_parts(minimum, uncertainty.evaluate(minimum))
+    return _without_undetected(minimum, allowing(minimum, errors, test))
 
 
 def _without_undetected(
@@ -38,7 +55,7 @@ def _without_undetected(
         null = at_lower(small.problem, at, k_small)
         lost = np.zeros_like(determined)
         lost[index] = (np.diag(null.curvature) <= 0) & determined[index]
-        gain = max(null.chi2 - at.chi2, 0.0) / max(errors.noise_scale, 1e-300) ** 2
+        gain = max(null.chi2 - at.chi2, 0.0) / max(errors.chi2_unit(j), 1e-300)
         if gain < CHI2_95 and lost.any():
             names = [r.name for k, r in enumerate(problem.parameters) if lost[k]]
             determined[lost] = False

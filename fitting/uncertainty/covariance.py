@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from gonio.fitting.minimum.curvature import inverse_curvature, of_known
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
-from gonio.fitting.problem.shared_change import (
-    shared_change,
-)
+from gonio.fitting.problem.shared_change import shared_change
+from gonio.fitting.uncertainty.allowance import Allowance
+from gonio.fitting.uncertainty.degrees_of_freedom import Spread, satterthwaite
 from gonio.geometry import FloatArray
 
 
@@ -33,6 +33,13 @@ class Uncertainty:
         Change of the parameters for one standard deviation of each draw of each shared term.
     profiled : tuple of str
         Shared terms that the likelihood of the fit holds; the others are only propagated.
+    dof : ndarray, shape (P,), optional
+        Degrees of freedom of `independent` as an estimate; infinity where it is known. None where
+        the noise is stated.
+    likelihood : ndarray, shape (P, P), optional
+        What `independent` is by the noise alone, where it allows for more.
+    allowance : Allowance or None
+        What `independent` allows for beyond the noise.
     """
 
     determined: NDArray[np.bool_]
@@ -40,27 +47,67 @@ class Uncertainty:
     noise_scale: float
     shared: dict[str, FloatArray]
     profiled: tuple[str, ...] = ()
+    dof: FloatArray | None = None
+    likelihood: FloatArray | None = None
+    allowance: Allowance | None = None
+
+    def with_spread(self, spread: Spread, allowance: Allowance) -> Uncertainty:
+        """The same with another covariance from what is independent."""
+        return replace(
+            self,
+            independent=spread.covariance,
+            dof=spread.dof,
+            likelihood=self.independent if self.likelihood is None else self.likelihood,
+            allowance=allowance,
+        )
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance with every source, shape (P, P)."""
-        return self._with(tuple(self.shared))
+        return self._with(self.independent, tuple(self.shared))
 
     @property
     def of_likelihood(self) -> FloatArray:
-        """Covariance with the sources that the likelihood holds, shape (P, P)."""
-        return self._with(self.profiled)
+        """Covariance of the likelihood: by noise alone, with the sources it holds, (P, P)."""
+        noise = self.independent if self.likelihood is None else self.likelihood
+        return self._with(noise, self.profiled)
+
+    @property
+    def without_propagated(self) -> FloatArray:
+        """Covariance without the sources that the likelihood does not hold, shape (P, P)."""
+        return self._with(self.independent, self.profiled)
 
     @property
     def propagated(self) -> dict[str, FloatArray]:
         """The part of `shared` that the likelihood does not hold."""
         return {name: moves for name, moves in self.shared.items() if name not in self.profiled}
 
-    def _with(self, names: tuple[str, ...]) -> FloatArray:
-        total = self.independent.copy()
+    def _with(self, independent: FloatArray, names: tuple[str, ...]) -> FloatArray:
+        total = independent.copy()
         for name in names:
             total += self.shared[name].T @ self.shared[name]
         return total
+
+    def dof_of(self, j: int) -> float | None:
+        """Degrees of freedom of the variance of parameter j; None where it is known."""
+        if self.dof is None or not np.isfinite(self.dof[j]):
+            return None
+        own = self.independent[j, j]
+        if self.allowance is None or own <= 0:
+            return float(self.dof[j])
+        # Shared errors have the size that is stated.
+        variances = np.array([own, self.covariance[j, j] - own])
+        found = satterthwaite(variances, np.array([self.dof[j], np.inf]))
+        return found if np.isfinite(found) else None
+
+    def chi2_unit(self, j: int) -> float:
+        """Growth of chi-squared at one standard uncertainty of parameter j, without shared errors.
+
+        The square of the noise scale, and more where the uncertainty allows for more than noise.
+        """
+        if self.likelihood is None or self.likelihood[j, j] <= 0:
+            return self.noise_scale**2
+        return float(self.noise_scale**2 * self.independent[j, j] / self.likelihood[j, j])
 
     def components(self, j: int) -> dict[str, float]:
         """Standard uncertainty of parameter j by source."""
@@ -92,7 +139,8 @@ def evaluate(minimum: Minimum) -> Uncertainty:
         # A sample without weight has no part in the gain either.
         variance = np.divide(noise_scale**2, weight, out=np.zeros_like(weight), where=weight > 0)
         independent = of_known(determined, (gain * variance) @ gain.T)
-    return Uncertainty(determined, independent, noise_scale, shared, problem.profiled)
+    dof = _dof(minimum)
+    return Uncertainty(determined, independent, noise_scale, shared, problem.profiled, dof)
 
 
 def _sandwich(minimum: Minimum) -> Uncertainty:
@@ -115,7 +163,15 @@ def _sandwich(minimum: Minimum) -> Uncertainty:
     changes = [shared_change(problem, term, p, f) for term in problem.samples.shared]
     shared = _moves(squared, p, inverse, changes) if changes else {}
     independent = of_known(determined, inverse @ meat @ inverse)
-    return Uncertainty(determined, independent, minimum.noise_scale, shared)
+    dof = _dof(minimum)
+    return Uncertainty(determined, independent, minimum.noise_scale, shared, (), dof)
+
+
+def _dof(minimum: Minimum) -> FloatArray | None:
+    """Degrees of freedom of the noise where the scatter stands for it; None where it is stated."""
+    if minimum.problem.weights == "sd":
+        return None
+    return np.full(len(minimum.optimum.p), float(minimum.dof))
 
 
 def _moves(

@@ -7,11 +7,12 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from gonio.fitting.minimum.record import CHI2_95, Minimum
+from gonio.fitting.residual_tests.misfit import MisfitTest
 from gonio.fitting.result import Estimate
 from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.uncertainty.degrees_of_freedom import quantile
 from gonio.fitting.uncertainty.profile_limits import excluded
 from gonio.fitting.uncertainty.profile_limits import limit as bound_limit
 from gonio.geometry import FloatArray
@@ -23,16 +24,19 @@ NEAR_BOUND = 2  # half-widths of an interval within which a bound is asked for b
 
 
 def estimated(
-    minimum: Minimum, errors: uncertainty.Uncertainty
+    minimum: Minimum, errors: uncertainty.Uncertainty, test: MisfitTest | None = None
 ) -> tuple[dict[str, Estimate], list[str]]:
-    """Every unknown with its standard uncertainty and intervals; angles in radians."""
+    """Every unknown with its standard uncertainty and intervals; angles in radians.
+
+    Parameters
+    ----------
+    minimum : Minimum
+    errors : Uncertainty
+    test : MisfitTest or None
+        For structure in the residuals, for which `errors` allow.
+    """
     problem, optimum = minimum.problem, minimum.optimum
-    # Where the scatter stands for the noise, few degrees of freedom widen the intervals.
-    known_noise = problem.weights == "sd"
-    quantiles = [
-        float(stats.norm.ppf(q) if known_noise else stats.t.ppf(q, minimum.dof))
-        for q in ((1 + level) / 2 for level in LEVELS)
-    ]
+    allowed = test if errors.allowance else None
     estimates, warnings = {}, []
     bare = noiseless(minimum)
     if bare:
@@ -43,18 +47,18 @@ def estimated(
     for j, q in enumerate(problem.parameters):
         value = float(optimum.p[j])
         if value in (q.lower, q.upper):
-            estimates[q.name], text = _at_bound(minimum, j)
+            estimates[q.name], text = _at_bound(minimum, j, allowed)
             warnings.append(text)
             continue
         if j in optimum.limited:
-            estimates[q.name] = _along_sum(minimum, j)
+            estimates[q.name] = _along_sum(minimum, j, allowed)
             continue
         estimate = Estimate(value, None, q.unit, None, None, None)
         if errors.determined[j] and bare:
             estimates[q.name] = estimate
             continue
         if errors.determined[j]:
-            estimate = _inside(minimum, errors, j, quantiles)
+            estimate = _inside(minimum, errors, j, allowed)
         if estimate.interval_95 is None:
             warnings.append(
                 f"{q.name} is not determined by these data: its value is arbitrary and it has no "
@@ -77,7 +81,7 @@ def _inside(
     minimum: Minimum,
     errors: uncertainty.Uncertainty,
     j: int,
-    quantiles: list[float],
+    test: MisfitTest | None,
 ) -> Estimate:
     """A parameter between its bounds.
 
@@ -87,8 +91,12 @@ def _inside(
     q = minimum.problem.parameters[j]
     value = float(minimum.optimum.p[j])
     stderr = float(np.sqrt(errors.covariance[j, j]))
+    dof = errors.dof_of(j)
     intervals = []
-    for t, level in zip(quantiles, LEVELS, strict=True):
+    for level in LEVELS:
+        t = quantile((1 + level) / 2, dof)
+        # What is allowed for beyond noise, the profile of chi-squared counts by itself.
+        z = t if test is None else quantile((1 + level) / 2, None)
         ends = []
         for side, bound in ((-1, q.lower), (1, q.upper)):
             end: float | None = value + side * t * stderr
@@ -96,11 +104,11 @@ def _inside(
             own = errors.of_likelihood[j, j]
             unit = (errors.noise_scale * stderr) ** 2 / own if own > 0 else 0.0
             if side * (value + NEAR_BOUND * side * t * stderr - bound) >= 0 and not excluded(
-                minimum, j, bound, unit, level
+                minimum, j, bound, unit * (t / z) ** 2, level
             ):
                 end = bound
             elif side * (value + side * t * stderr - bound) >= 0:
-                end = bound_limit(minimum, j, t**2, side=side)
+                end = bound_limit(minimum, j, z**2, side=side, test=test)
             ends.append(bound if end is None else end)
         intervals.append((ends[0], ends[1]))
     if intervals[1] == (q.lower, q.upper):
@@ -115,15 +123,16 @@ def _inside(
         intervals[0],
         intervals[1],
         components if is_known else {},
+        dof=dof if is_known else None,
     )
 
 
-def _along_sum(minimum: Minimum, j: int) -> Estimate:
+def _along_sum(minimum: Minimum, j: int, test: MisfitTest | None) -> Estimate:
     """A reflectance whose sum with others is held at 1: it grows as far as those give way."""
     q = minimum.problem.parameters[j]
     intervals = []
     for increase in (1.0, CHI2_95):
-        ends = [bound_limit(minimum, j, increase, side=side) for side in (-1, 1)]
+        ends = [bound_limit(minimum, j, increase, side=side, test=test) for side in (-1, 1)]
         low, high = (
             bound if end is None else end
             for end, bound in zip(ends, (q.lower, q.upper), strict=True)
@@ -133,13 +142,15 @@ def _along_sum(minimum: Minimum, j: int) -> Estimate:
     return Estimate(value, None, q.unit, "upper", intervals[0], intervals[1])
 
 
-def _at_bound(minimum: Minimum, j: int) -> tuple[Estimate, str]:
+def _at_bound(minimum: Minimum, j: int, test: MisfitTest | None) -> tuple[Estimate, str]:
     """A parameter at its bound: one-sided limits from the profile of chi-squared, no stderr."""
     q = minimum.problem.parameters[j]
     value = float(minimum.optimum.p[j])
     at_bound: Literal["lower", "upper"] = "lower" if value == q.lower else "upper"
     side = 1 if at_bound == "lower" else -1
-    limits = [bound_limit(minimum, j, increase, side=side) for increase in (1.0, CHI2_95)]
+    limits = [
+        bound_limit(minimum, j, increase, side=side, test=test) for increase in (1.0, CHI2_95)
+    ]
     far = q.upper if side > 0 else q.lower
     intervals = []
     for limit in limits:

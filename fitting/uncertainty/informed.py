@@ -1,0 +1,85 @@
+"""What the data inform: residuals and derivatives in coordinates in which J^T W J is 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.fitting.minimum.curvature import marginal_root
+from gonio.fitting.minimum.record import Minimum
+from gonio.geometry import FloatArray
+
+
+@dataclass(frozen=True)
+class Informed:
+    """Standardised residuals and the directions of the parameters that the data inform.
+
+    With y the data, f the model, W the weights and J = df/dp, a change dp = `back` x of the
+    parameters changes the standardised values W^1/2 f by `q` x, and q^T q is 1. A change dy of the
+    data moves the parameters by `back` q^T W^1/2 dy.
+
+    Parameters
+    ----------
+    known : ndarray of bool, shape (P,)
+        Parameters that the data determine.
+    z : ndarray, shape (N,)
+        W^1/2 (y - f).
+    q : ndarray, shape (N, R)
+        Rows of what is profiled beside the parameters have a share in q^T q = 1 as well.
+    whole : ndarray, shape (P, R)
+        `back`, with rows of parameters that are not determined as well, which mean nothing alone.
+
+    Notes
+    -----
+    Shared errors that the fit profiles are further parameters, each with one more observation, its
+    prior. These observations have no rows in `q` and are never left out.
+    """
+
+    known: NDArray[np.bool_]
+    z: FloatArray
+    q: FloatArray
+    whole: FloatArray
+
+    @classmethod
+    def of(cls, minimum: Minimum) -> Informed:
+        """The data about a minimum of chi-squared."""
+        problem, optimum = minimum.problem, minimum.optimum
+        n_p = len(optimum.p)
+        f, jacobian = problem.jacobian(optimum.p)
+        root = np.sqrt(problem.inverse_variance)
+        columns = root[:, None] * jacobian
+        if problem.profiled:
+            u = root[:, None] * problem.profiled_columns()
+            columns = np.column_stack([columns, u])
+            h = columns.T @ columns
+            prior = np.arange(n_p, len(h))
+            h[prior, prior] += minimum.noise_scale**2
+            among = np.concatenate([optimum.free, np.ones(len(prior), np.bool_)])
+        else:
+            h, among = optimum.curvature, optimum.free
+        known, back = marginal_root(h, among, optimum.limited)
+        known[list(optimum.limited)] = False
+        residual = problem.samples.value - f
+        return cls(known[:n_p], root * residual, columns @ back, back[:n_p])
+
+    @property
+    def back(self) -> FloatArray:
+        """Change of each parameter along each direction, (P, R); 0 where it is not determined."""
+        return np.asarray(np.where(self.known[:, None], self.whole, 0.0))
+
+    @property
+    def leverage(self) -> FloatArray:
+        """Share of its own fitted value that each sample decides, (N,)."""
+        return np.asarray(np.sum(self.q**2, axis=1))
+
+    @property
+    def gain(self) -> FloatArray:
+        """Change of the parameters for a change of each standardised value, (N, P)."""
+        return np.asarray(self.q @ self.back.T)
+
+    def of_noise(self, where: NDArray[np.bool_] | None = None) -> FloatArray:
+        """Covariance (P, P) that unit noise of these samples, of all by default, gives."""
+        gain = self.gain if where is None else self.gain[where]
+        return np.asarray(gain.T @ gain)

@@ -1,0 +1,113 @@
+"""Uncertainties where the residuals show that the model, or equal noise, does not hold.
+
+The variance of independent noise no longer tells how far another measurement of the same surface
+would move the parameters. What does is how far the samples, and the incidences, move them against
+each other: each is left out in turn, and the larger covariance counts in each direction of
+parameter space.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.residual_tests.misfit import MisfitTest
+from gonio.fitting.residual_tests.unequal_noise import unequal_noise
+from gonio.fitting.uncertainty.allowance import Allowance
+from gonio.fitting.uncertainty.clustered import by_groups
+from gonio.fitting.uncertainty.covariance import Uncertainty
+from gonio.fitting.uncertainty.degrees_of_freedom import Spread
+from gonio.fitting.uncertainty.incidence_groups import FEWEST, incidence_groups
+from gonio.fitting.uncertainty.informed import Informed
+from gonio.fitting.uncertainty.larger_of import larger_of
+from gonio.fitting.uncertainty.sample_jackknife import by_samples
+from gonio.fitting.uncertainty.second_derivatives import SecondDerivatives
+
+ALARM = 0.01  # chance of structure in the residuals below which the model does not hold
+ALARM_OF_FEW = 0.001  # the same with at most three incidences: a false alarm widens by 3 to 5 there
+UNEQUAL = 0.01  # chance of squared residuals that follow f below which noise does
+LONE = 0.5  # share of a parameter's information from one incidence alone that is reported
+
+
+def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> Uncertainty:
+    """The uncertainties with what the residuals show allowed for; as they are where nothing.
+
+    Parameters
+    ----------
+    minimum : Minimum
+    errors : Uncertainty
+        By independent noise of the stated size, or of that of the scatter.
+    test : MisfitTest or None
+        For structure in the residuals; None where they are rounding or too few.
+
+    Notes
+    -----
+    Structure: samples and incidences are left out in turn; with fewer than three incidences the
+    samples alone. In a joint fit they are those of the parts in which there is structure. The
+    variance is never below that of the stated noise.
+
+    Noise of unknown size that follows f, without structure: the samples alone. The scatter of all
+    samples together would be that of the brightest.
+    """
+    problem = minimum.problem
+    if not problem.quadratic or test is None or not errors.determined.any():
+        return errors
+    group = incidence_groups(problem)
+    if test.p < alarm(int(group.max()) + 1):
+        return _of_misfit(minimum, errors, test, group)
+    if problem.weights == "sd" or problem.profiled:
+        return errors
+    informed = Informed.of(minimum)
+    level = np.sqrt(problem.inverse_variance) * problem.values(minimum.optimum.p)
+    p = unequal_noise(informed.z, level)
+    if p >= UNEQUAL:
+        return errors
+    return errors.with_spread(by_samples(informed), Allowance("samples", p, 0, structure=False))
+
+
+def alarm(n_incidences: int) -> float:
+    """Chance of structure below which the model is taken not to hold."""
+    return ALARM_OF_FEW if n_incidences <= FEWEST else ALARM
+
+
+def _of_misfit(
+    minimum: Minimum, errors: Uncertainty, test: MisfitTest, group: NDArray[np.int64]
+) -> Uncertainty:
+    problem = minimum.problem
+    informed = Informed.of(minimum)
+    wrong = _with_structure(problem, test)
+    spread = by_samples(informed, SecondDerivatives(minimum), wrong)
+    n_groups = len(np.unique(group[wrong]))
+    lone: tuple[str, ...] = ()
+    if n_groups >= FEWEST:
+        of_incidences, share = by_groups(informed, group, wrong)
+        spread = larger_of(spread, of_incidences)
+        lone = tuple(problem.parameters[j].name for j in np.flatnonzero(share > LONE))
+    elif len(problem.pieces()) > 1:
+        # Residuals that parts have in common are no independent evidence.
+        spread = larger_of(spread, Spread.known(errors.independent))
+    if not wrong.all():
+        spread = spread + Spread.known(informed.of_noise(~wrong) * errors.noise_scale**2)
+    if problem.weights == "sd":
+        spread = larger_of(Spread.known(informed.of_noise()), spread)
+    basis: Literal["samples", "samples and incidences"] = "samples"
+    if n_groups >= FEWEST:
+        basis = "samples and incidences"
+    n_wrong = sum(bool(wrong[where].any()) for _, where, _ in problem.pieces())
+    parts = (n_wrong, len(problem.pieces()))
+    allowance = Allowance(basis, test.p, n_groups, lone=lone, parts=parts)
+    return errors.with_spread(spread, allowance)
+
+
+def _with_structure(problem: Problem, test: MisfitTest) -> NDArray[np.bool_]:
+    """Samples of the parts whose residuals have structure; all where no single part shows it."""
+    if len(test.parts) != len(problem.pieces()):
+        return np.ones(problem.n, np.bool_)  # of a part of a joint fit alone
+    wrong = np.zeros(problem.n, np.bool_)
+    for (_, where, _), p in zip(problem.pieces(), test.parts, strict=True):
+        wrong[where] = p < ALARM
+    return wrong if wrong.any() else ~wrong

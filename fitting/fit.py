@@ -16,7 +16,7 @@ from gonio.fitting.minimum.joint import find_joint_minimum
 from gonio.fitting.minimum.nuisance import profiled
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import predictive
-from gonio.fitting.posterior.at_minimum import sampled
+from gonio.fitting.posterior.at_minimum import outside_posterior, sampled
 from gonio.fitting.posterior.chain import Chain, Progress
 from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
@@ -235,6 +235,7 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     if chain is not None:
         summary = chain.summary(problem.parameters, file)
         estimates = with_quantiles(problem.parameters, estimates, chain.draws)
+        warnings += outside_posterior(problem.parameters, estimates)
         priors = {q.name: [q.to_file(q.lower), q.to_file(q.upper)] for q in problem.parameters}
         warnings += _convergence_warnings(chain, summary) + chain.warnings
     return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -16,11 +17,12 @@ from gonio.samples import BRDFSamples
 def provenance(samples: BRDFSamples) -> dict[str, Any]:
     """What a result says of its origin: versions of the programs, and the data."""
     return {
-        "versions": _versions(),
+        "versions": dict(_versions()),
         "source": {"data_sha256": data_hash(samples), **samples.metadata},
     }
 
 
+@cache
 def _versions() -> dict[str, str]:
     packages = ("numpy", "scipy", "numba", "nlopt", "emcee")
     versions = {name: metadata.version(name) for name in packages}

@@ -50,7 +50,7 @@ def marginal_root(
 
     Returns
     -------
-    known : ndarray of bool, shape (P,)
+    determined : ndarray of bool, shape (P,)
     root : ndarray, shape (P, R)
         One column for each direction that the data inform. root @ root.T is the covariance of
         what is determined, for noise of unit size, and the generalised inverse of h that takes
@@ -61,10 +61,10 @@ def marginal_root(
     -----
     Directions without information are left out, and not the parameters that take part in them.
     The others share some of the information with those: were those held, the others would seem
-    known better than they are.
+    better known than they are.
     """
-    known = np.asarray(among & (np.diag(h) > 0))
-    index = np.flatnonzero(known)
+    determined = np.asarray(among & (np.diag(h) > 0))
+    index = np.flatnonzero(determined)
     root = np.zeros((len(h), 0))
     if len(index):
         scale = 1 / np.sqrt(np.diag(h)[index])
@@ -73,23 +73,23 @@ def marginal_root(
         values, vectors = np.linalg.eigh(along.T @ scaled @ along)
         informed = values >= UNDETERMINED
         vectors = along @ vectors
-        known[index] = ~np.any(np.abs(vectors[:, ~informed]) > TAKES_PART, axis=1)
+        determined[index] = ~np.any(np.abs(vectors[:, ~informed]) > TAKES_PART, axis=1)
         root = np.zeros((len(h), int(np.count_nonzero(informed))))
         root[index] = scale[:, None] * vectors[:, informed] / np.sqrt(values[informed])
-    return known, root
+    return determined, root
 
 
 def marginal_inverse(
     h: FloatArray, among: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Which of these parameters are determined, and their marginal covariance (P, P), else 0."""
-    known, root = marginal_root(h, among)
-    return known, of_known(known, root @ root.T)
+    determined, root = marginal_root(h, among)
+    return determined, where_determined(determined, root @ root.T)
 
 
-def of_known(known: NDArray[np.bool_], matrix: FloatArray) -> FloatArray:
-    """A covariance (P, P) with 0 in the rows and columns of what is not known."""
-    return np.asarray(np.where(known[:, None] & known[None], matrix, 0.0))
+def where_determined(determined: NDArray[np.bool_], matrix: FloatArray) -> FloatArray:
+    """A covariance (P, P) with 0 in the rows and columns of what is not determined."""
+    return np.asarray(np.where(determined[:, None] & determined[None], matrix, 0.0))
 
 
 def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
@@ -97,9 +97,9 @@ def inverse_curvature(optimum: Optimum) -> tuple[NDArray[np.bool_], FloatArray]:
 
     See `marginal_root`; rows of what is not determined mean nothing.
     """
-    known, root = marginal_root(optimum.curvature, optimum.free, optimum.limited)
-    known[list(optimum.limited)] = False
-    return known, np.asarray(root @ root.T)
+    determined, root = marginal_root(optimum.curvature, optimum.free, optimum.limited)
+    determined[list(optimum.limited)] = False
+    return determined, np.asarray(root @ root.T)
 
 
 def within_sum(c: FloatArray) -> FloatArray:

@@ -40,7 +40,9 @@ class Chain:
     priors : tuple of Prior
     warnings : list of str
     unmoved : ndarray, optional
-        The draws before the shared terms were added.
+        The draws before they were spread and the shared terms were added.
+    allowance : str
+        What the spread of the draws allows for beyond the likelihood; empty for nothing.
     """
 
     draws: FloatArray
@@ -53,6 +55,7 @@ class Chain:
     priors: tuple[Prior, ...]
     warnings: list[str] = field(default_factory=list)
     unmoved: FloatArray | None = None
+    allowance: str = ""
 
     @property
     def n_steps(self) -> int:
@@ -79,5 +82,6 @@ class Chain:
             sampler=self.sampler,
             k_hat=self.k_hat if self.k_hat is not None and np.isfinite(self.k_hat) else None,
             note=self.note,
+            allowance=self.allowance,
             priors={q.name: p.text(q) for q, p in zip(parameters, self.priors, strict=True)},
         )

@@ -92,6 +92,8 @@ def predictive_groups(
     at = {"chain": np.arange(walkers), "draw": np.arange(steps)}
     texts = [prior.text(q) for q, prior in zip(problem.parameters, chain.priors, strict=True)]
     about = {"model": problem.name, "sampler": chain.sampler, "converged": int(chain.converged)}
+    if chain.allowance:
+        about["allowance"] = chain.allowance
     posterior = xr.Dataset(
         {
             q.name: (

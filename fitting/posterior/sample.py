@@ -2,7 +2,7 @@
 
 The likelihood holds the independent errors. Errors that the samples share are not estimated from
 the data: each draw is moved by a random draw of every shared term, as GUM supplement 1 propagates
-them. Priors are those of `gonio.fitting.posterior.priors`, flat between the bounds where none is
+them. Where the uncertainties allow for misfit the draws are spread to them first. Priors are those of `gonio.fitting.posterior.priors`, flat between the bounds where none is
 declared. Both samplers integrate over the amplitudes in closed form
 (`gonio.fitting.posterior.density`); emcee's walkers propose by
 a Student-t at the mode, by differential evolution and by a snooker.
@@ -23,6 +23,7 @@ from gonio.fitting.posterior.chain import Chain, Progress, Sampler
 from gonio.fitting.posterior.density import TOLERANCE, Target, WholeTarget
 from gonio.fitting.posterior.marginal_density import MarginalTarget
 from gonio.fitting.posterior.priors import Prior, resolve
+from gonio.fitting.posterior.widened import widened
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty.covariance import Uncertainty
 from gonio.geometry import FloatArray
@@ -96,7 +97,7 @@ def sample(
     else:
         chain = _checked(_by_marginal, target(whole=False), root, rng)
         if not chain.note:
-            return _moved(problem, chain, errors, rng)
+            return _moved(minimum, chain, errors, rng)
         k_hat, note = chain.k_hat, chain.note
         if sampler == "marginal":
             notes = [f"emcee took over from the marginal sampler: {note}."]
@@ -108,7 +109,7 @@ def sample(
 
     chain = _checked(by_emcee, target(whole=True), root, rng)
     chain = replace(chain, k_hat=k_hat, note=note, warnings=notes + chain.warnings)
-    return _moved(problem, chain, errors, rng)
+    return _moved(minimum, chain, errors, rng)
 
 
 def _sum_is_near(problem: Problem, mode: FloatArray, root: FloatArray) -> bool:
@@ -180,9 +181,15 @@ def _sampled_covariance(target: Target, root: FloatArray) -> FloatArray:
     return np.asarray(covariance * np.outer(slope, slope))
 
 
-def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.Generator) -> Chain:
-    """Each draw moved by a random draw of every shared term, held inside the bounds."""
-    draws = chain.draws.copy()
+def _moved(minimum: Minimum, chain: Chain, errors: Uncertainty, rng: np.random.Generator) -> Chain:
+    """Draws spread to what the uncertainties allow for, and moved by the shared terms.
+
+    Each is moved by a random draw of every shared term, and held inside the bounds.
+    """
+    problem, draws, allowance = minimum.problem, chain.draws.copy(), ""
+    if errors.allowance is not None:
+        draws = widened(problem, minimum.optimum.p, draws, errors, rng)
+        allowance = f"draws are spread so that their {errors.allowance.text}"
     for moves in errors.propagated.values():
         draws += rng.standard_normal((*draws.shape[:2], len(moves))) @ moves
     lower = [q.lower for q in problem.parameters]
@@ -193,4 +200,4 @@ def _moved(problem: Problem, chain: Chain, errors: Uncertainty, rng: np.random.G
     if len(limited):
         total = (draws[..., limited] * c[limited]).sum(axis=-1, keepdims=True)
         draws[..., limited] /= np.maximum(total, 1.0)
-    return replace(chain, draws=draws, unmoved=chain.draws)
+    return replace(chain, draws=draws, unmoved=chain.draws, allowance=allowance)

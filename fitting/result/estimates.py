@@ -156,6 +156,8 @@ class PosteriorSummary:
         Why the marginal sampler was not used; empty where it was.
     priors : mapping of str to str
         As `gonio.fitting.posterior.priors` writes them, angles in degrees.
+    allowance : str
+        What the spread of the draws allows for beyond the likelihood; empty for nothing.
     """
 
     ess: float
@@ -170,6 +172,7 @@ class PosteriorSummary:
     k_hat: float | None = None
     note: str = ""
     priors: Mapping[str, str] = field(default_factory=dict)
+    allowance: str = ""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ def posterior_lines(p: PosteriorSummary) -> list[str]:
     if p.k_hat is not None:
         parts.append(f"k-hat {p.k_hat:.2f}")
     lines += ["  " + ", ".join(parts)] if parts else []
+    lines += [f"  {p.allowance}"] if p.allowance else []
     believed = [f"{name} {text}" for name, text in p.priors.items() if text != "flat"]
     others = "; the others flat" if len(believed) < len(p.priors) else ""
     return lines + ([f"  priors: {', '.join(believed)}{others}"] if believed else [])

@@ -71,19 +71,19 @@ turn, the larger counts, Student's t
     @property
     def warnings(self) -> list[str]:
         """What these uncertainties cannot hold."""
-        found = []
+        sentences = []
         if self.structure and self.basis == "samples":
             number = "one incidence" if self.incidences == 1 else f"{self.incidences} incidences"
-            found.append(
+            sentences.append(
                 f"the model does not fit, and {number} cannot show how far the parameters "
                 "would differ at another: the uncertainties allow for misfit within what was "
                 "measured alone; measure at three incidences or more."
             )
         if self.lone:
             names = " and ".join(self.lone)
-            found.append(
+            sentences.append(
                 f"one incidence alone informs {names}: how far another would move "
                 f"{'it' if len(self.lone) == 1 else 'them'} under this misfit is not in the "
                 "uncertainty."
             )
-        return found
+        return sentences

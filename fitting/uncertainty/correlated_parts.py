@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.fitting.minimum.curvature import inverse_curvature, of_known
+from gonio.fitting.minimum.curvature import inverse_curvature, where_determined
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty import covariance as uncertainty
@@ -39,9 +39,9 @@ def with_correlated_parts(
     scatter = np.zeros((n_p, n_p))
     for (k, a), (m, b) in itertools.product(enumerate(indices), repeat=2):
         scatter[np.ix_(a, b)] += r[k, m] * columns[k].T @ columns[m]
-    known, inverse = inverse_curvature(optimum)
+    determined, inverse = inverse_curvature(optimum)
     covariance = errors.noise_scale**2 * inverse @ scatter @ inverse
-    return replace(errors, independent=of_known(known, covariance))
+    return replace(errors, independent=where_determined(determined, covariance))
 
 
 def residual_correlation(problem: Problem, p: FloatArray) -> FloatArray | None:

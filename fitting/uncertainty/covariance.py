@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.minimum.curvature import inverse_curvature, of_known
+from gonio.fitting.minimum.curvature import inverse_curvature, where_determined
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import shared_change
@@ -132,13 +132,13 @@ def evaluate(minimum: Minimum) -> Uncertainty:
     shared = {}
     if problem.samples.shared:
         shared = _moves(problem, optimum.p, inverse, problem.shared_changes(optimum.p))
-    independent = of_known(determined, inverse * noise_scale**2)
+    independent = where_determined(determined, inverse * noise_scale**2)
     if problem.profiled:
         gain = inverse @ problem.weighted(problem.jacobian(optimum.p)[1]).T
         weight = problem.inverse_variance
         # A sample without weight has no part in the gain either.
         variance = np.divide(noise_scale**2, weight, out=np.zeros_like(weight), where=weight > 0)
-        independent = of_known(determined, (gain * variance) @ gain.T)
+        independent = where_determined(determined, (gain * variance) @ gain.T)
     dof = _dof(minimum)
     return Uncertainty(determined, independent, noise_scale, shared, problem.profiled, dof)
 
@@ -162,7 +162,7 @@ def _sandwich(minimum: Minimum) -> Uncertainty:
     squared = problem.with_weights(bread).as_least_squares()
     changes = [shared_change(problem, term, p, f) for term in problem.samples.shared]
     shared = _moves(squared, p, inverse, changes) if changes else {}
-    independent = of_known(determined, inverse @ meat @ inverse)
+    independent = where_determined(determined, inverse @ meat @ inverse)
     dof = _dof(minimum)
     return Uncertainty(determined, independent, minimum.noise_scale, shared, (), dof)
 

@@ -22,7 +22,7 @@ class Informed:
 
     Parameters
     ----------
-    known : ndarray of bool, shape (P,)
+    determined : ndarray of bool, shape (P,)
         Parameters that the data determine.
     z : ndarray, shape (N,)
         W^1/2 (y - f).
@@ -37,7 +37,7 @@ class Informed:
     prior. These observations have no rows in `q` and are never left out.
     """
 
-    known: NDArray[np.bool_]
+    determined: NDArray[np.bool_]
     z: FloatArray
     q: FloatArray
     whole: FloatArray
@@ -59,15 +59,15 @@ class Informed:
             among = np.concatenate([optimum.free, np.ones(len(prior), np.bool_)])
         else:
             h, among = optimum.curvature, optimum.free
-        known, back = marginal_root(h, among, optimum.limited)
-        known[list(optimum.limited)] = False
+        determined, back = marginal_root(h, among, optimum.limited)
+        determined[list(optimum.limited)] = False
         residual = problem.samples.value - f
-        return cls(known[:n_p], root * residual, columns @ back, back[:n_p])
+        return cls(determined[:n_p], root * residual, columns @ back, back[:n_p])
 
     @property
     def back(self) -> FloatArray:
         """Change of each parameter along each direction, (P, R); 0 where it is not determined."""
-        return np.asarray(np.where(self.known[:, None], self.whole, 0.0))
+        return np.asarray(np.where(self.determined[:, None], self.whole, 0.0))
 
     @property
     def leverage(self) -> FloatArray:

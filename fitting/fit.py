@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from gonio.errors import ConfigurationError
 from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.diagnostics.parts import with_parts
+from gonio.fitting.diagnostics.support import support_warnings, supports
 from gonio.fitting.in_memory import InMemory
 from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.find import find_minimum
@@ -26,7 +28,7 @@ from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.fitting.residual_tests.misfit import misfit_test
-from gonio.fitting.result import FitResult, PosteriorSummary
+from gonio.fitting.result import FitResult, PosteriorSummary, plain
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
@@ -224,12 +226,16 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     test = misfit_test(minimum) if problem.quadratic else None
     errors, undetected = honest_uncertainties(minimum, test)
     estimates, bound_warnings = estimated(minimum, errors, test)
+    support = {} if noiseless(minimum) else supports(minimum, estimates)
+    for name, carried in support.items():
+        estimates[name] = replace(estimates[name], established=not carried.reasons)
     # What residuals should look like is known for chi-squared alone.
     diagnostics, residual_warnings = diagnose(minimum) if problem.quadratic else ({}, [])
     shared_errors = nuisance_estimates(minimum)
     warnings = warnings_of(minimum, errors) + minimum.warnings
     warnings += condensed(undetected + bound_warnings)
     warnings += errors.allowance.warnings if errors.allowance else []
+    warnings += condensed(support_warnings(minimum, support, residual_warnings))
     warnings += residual_warnings + pull_warnings(shared_errors)
     summary = priors = None
     if chain is not None:
@@ -251,6 +257,7 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
             "history": list(problem.samples.history),
             **diagnostics,
             "allowance": errors.allowance.to_dict() if errors.allowance else None,
+            "support": plain(support),
             "priors": priors,
         },
     }

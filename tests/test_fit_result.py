@@ -46,6 +46,7 @@ def test_the_document_has_the_keys_of_its_schema(rough):
     for entry in data["parameters"].values():
         assert set(entry) == {
             "value", "stderr", "unit", "at_bound", "interval_68", "interval_95", "components",
+            "dof", "established",
         }  # fmt: skip
     assert (data["model"], data["status"], data["posterior"]) == ("oren_nayar", "converged", None)
     assert (data["n_samples"], data["dof"], data["seed"]) == (200, 198, 5)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gonio.fitting.minimum.curvature import TAKES_PART, axes
+from gonio.fitting.minimum.curvature import TAKES_PART, axes, marginal_inverse
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
@@ -22,8 +23,12 @@ PATTERNS = {
     "in plane": "in the plane of incidence",
     "across": "across the plane of incidence, through the mirror direction",
 }
+NARROW = {"mirror 1": "within 1 deg of the mirror direction"}  # where few samples saw the lobe
+_WORDS = PATTERNS | NARROW
 N = 72  # directions of each
 STEEPEST = np.radians(80.0)  # largest theta_r
+ENOUGH = 10.0  # effective samples that carry what is established
+DISCOUNT = 1e-3  # of the information of samples that carry a parameter alone
 AS_GOOD = 0.4  # of ln u: a measurement that is earlier in the lists is preferred by as much
 _MISSING = 100.0  # what a parameter without information adds to a merit
 
@@ -57,7 +62,9 @@ class SuggestedMeasurement:
     text: str
 
 
-def suggest_measurement(minimum: Minimum, wanted: list[int]) -> SuggestedMeasurement | None:
+def suggest_measurement(
+    minimum: Minimum, wanted: list[int], *, anew: bool = False
+) -> SuggestedMeasurement | None:
     """The best single measurement for the wanted parameters; None if none determines them all.
 
     Parameters
@@ -65,12 +72,16 @@ def suggest_measurement(minimum: Minimum, wanted: list[int]) -> SuggestedMeasure
     minimum : Minimum
     wanted : list of int
         Numbers of the parameters.
+    anew : bool
+        Few samples carry them so far: these count for next to nothing, and at least 10 effective
+        samples of the measurement must carry each.
     """
     problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     if len(problem.independent.pieces()) > 1:
         return None  # the parts of a joint fit have their own directions
     isotropic = problem.model.claims.isotropic
-    kinds = list(_kinds(isotropic))
+    patterns = (*PATTERNS, *NARROW) if anew else tuple(PATTERNS)
+    kinds = list(_kinds(patterns, isotropic=isotropic))
     d = problem.samples.directions
     base = float(np.broadcast_to(d.phi_i, (problem.n,))[0])
     blocks = [unit_directions(i, base + r, pattern) for i, r, pattern in kinds]
@@ -80,12 +91,14 @@ def suggest_measurement(minimum: Minimum, wanted: list[int]) -> SuggestedMeasure
     theta_i, phi_i = angles(w_i)
     f, jacobian = problem.model_at(Directions(theta_i, phi_i, theta_r, phi_r), optimum.p)
     u = _noise(problem, optimum.p, f, noise_scale)
-    now = optimum.curvature / (noise_scale or 1.0) ** 2
+    now = optimum.curvature / (noise_scale or 1.0) ** 2 * (DISCOUNT if anew else 1.0)
     free = np.flatnonzero(optimum.free)
     best: tuple[float, int, FloatArray] | None = None
     for k, (start, n) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
         rows = jacobian[start : start + n] / u[start : start + n, None]
         # As many directions for each, also where part of a pattern lies below the horizon.
+        if anew and not _carried(now, rows, optimum.free, wanted) >= ENOUGH:
+            continue
         reached = _standard(now + rows.T @ rows * (N / n), free)
         size = np.maximum(np.abs(optimum.p), 1e-12)
         merit = float(
@@ -112,7 +125,7 @@ def _suggestion(
         for q, u in zip(problem.parameters, uncertainties, strict=True)
     }
     turned = f" with the sample turned by {np.degrees(rotation):.0f} deg" if rotation else ""
-    text = f"Measure {PATTERNS[pattern]} at theta_i = {np.degrees(theta_i):.0f} deg{turned}"
+    text = f"Measure {_WORDS[pattern]} at theta_i = {np.degrees(theta_i):.0f} deg{turned}"
     shown = []
     for k in wanted:
         q = problem.parameters[k]
@@ -123,13 +136,13 @@ def _suggestion(
     text += f": {N} samples as good as these would give {', '.join(shown)}." if shown else "."
     return SuggestedMeasurement(
         round(float(np.degrees(theta_i)), 6), round(float(np.degrees(rotation)), 6),
-        PATTERNS[pattern], N, expected, text,
+        _WORDS[pattern], N, expected, text,
     )  # fmt: skip
 
 
-def _kinds(isotropic: bool) -> Iterator[tuple[float, float, str]]:
+def _kinds(patterns: Sequence[str], *, isotropic: bool) -> Iterator[tuple[float, float, str]]:
     """Incidence, rotation (radians) and pattern of every candidate, the simplest first."""
-    for pattern in PATTERNS:
+    for pattern in patterns:
         for rotation in (0,) if isotropic else ROTATIONS_DEG:
             for theta_i in INCIDENCES_DEG:
                 yield float(np.radians(theta_i)), float(np.radians(rotation)), pattern
@@ -172,6 +185,22 @@ def _noise(problem: Problem, p: FloatArray, f: FloatArray, noise_scale: float) -
     # Beyond the brightest sample the noise grows with the value.
     brighter = np.maximum(f / x[-1], 1.0) if x[-1] > 0 else 1.0
     return np.asarray(np.interp(f, x, y) * brighter)
+
+
+def _carried(
+    now: FloatArray,
+    rows: FloatArray,
+    free: NDArray[np.bool_],
+    wanted: list[int],
+) -> float:
+    """Least effective number of samples that carry what is wanted, the old counted as one."""
+    covariance = marginal_inverse(now + rows.T @ rows * (N / len(rows)), free)[1][:, wanted]
+    new = (rows @ covariance) ** 2 * (N / len(rows))
+    old = np.sum(covariance * (now @ covariance), axis=0)
+    size = np.maximum(old + new.sum(axis=0), 1e-300)
+    old, new = old / size, new / size
+    squares = old**2 + np.sum(new**2, axis=0)
+    return float(np.min(1 / np.maximum(squares, 1e-300)))
 
 
 def _standard(information: FloatArray, free: np.ndarray) -> FloatArray:

@@ -2,10 +2,10 @@
 
 The likelihood holds the independent errors. Errors that the samples share are not estimated from
 the data: each draw is moved by a random draw of every shared term, as GUM supplement 1 propagates
-them. Where the uncertainties allow for misfit the draws are spread to them first. Priors are those of `gonio.fitting.posterior.priors`, flat between the bounds where none is
-declared. Both samplers integrate over the amplitudes in closed form
-(`gonio.fitting.posterior.density`); emcee's walkers propose by
-a Student-t at the mode, by differential evolution and by a snooker.
+them. Where the uncertainties allow for misfit the draws are spread to them first. Priors are those
+of `gonio.fitting.posterior.priors`, flat between the bounds where none is declared. Both samplers
+integrate over the amplitudes in closed form (`gonio.fitting.posterior.density`); emcee's walkers
+propose by a Student-t at the mode, by differential evolution and by a snooker.
 """
 
 from __future__ import annotations

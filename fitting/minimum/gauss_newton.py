@@ -15,6 +15,8 @@ from gonio.geometry import FloatArray
 from gonio.kernels import boxed
 from gonio.kernels.boxed import next_point
 
+INWARDS = 0.1  # relative change by which an exchange is followed away from a bound
+AT_SUM = 1e-9  # distance from its limit at which a sum is at it
 UNDETERMINED: float = boxed.UNDETERMINED  # smallest part of the curvature that is information
 POLISH_STEPS = 300
 STOP = 1e-5  # the polish ends where its next step is this part of the uncertainty
@@ -117,6 +119,7 @@ def _at_rest(state: _State, evaluations: int) -> Optimum:
     """The state with what is a hair from a bound put on it, and whether its step is negligible."""
     _snap(state)
     _leave_chance_bounds(state)
+    _leave_chance_limits(state)
     _, distance, limited = state.step()
     held = tuple(map(int, np.flatnonzero(state.box.c))) if limited else ()
     verified = distance <= max(VERIFIED, 1e2 * state.rounding)
@@ -166,6 +169,34 @@ def _leave_chance_bounds(state: _State) -> None:
         state.evaluations += 1
         if new[0] <= state.chi2 * (1 + DEEPER) + (ROUNDING * state.size) ** 2:
             state.moved(trial, *new)
+
+
+def _leave_chance_limits(state: _State) -> None:
+    """An exchange of any parameters is followed inwards where it has reached a bound or the sum.
+
+    The samples do not tell where along it the search should have stopped.
+    """
+    box, p = state.box, state.p
+    index = np.flatnonzero((np.diag(state.h) > 0) & (box.upper > box.lower))
+    at_bound = (p <= box.lower) | (p >= box.upper)
+    at_sum = bool(box.c.any()) and float(box.c @ p) >= 1 - AT_SUM
+    if len(index) < 2 or not (at_bound[index].any() or at_sum):
+        return
+    values, vectors, scale = axes(state.h, index)
+    for vector in vectors.T[values < UNDETERMINED]:
+        line = np.zeros(len(p))
+        line[index] = np.where(np.abs(vector) > TAKES_PART, vector / scale, 0.0)
+        if not (line[at_bound].any() or (at_sum and abs(box.c @ line) > 0)):
+            continue
+        line *= INWARDS / float(np.max(np.abs(line[index]) / np.maximum(np.abs(p[index]), 1e-12)))
+        for trial in (p + line, p - line):
+            if not np.array_equal(box.inside(trial), trial):
+                continue
+            end = _marquardt(state.problem, trial)
+            state.evaluations += end.evaluations
+            if end.chi2 <= state.chi2 * (1 + DEEPER) + (ROUNDING * state.size) ** 2:
+                state.moved(end.p, end.chi2, end.g, end.h)
+                return
 
 
 def _deeper_nearby(state: _State, optimum: Optimum) -> tuple[FloatArray | None, int]:

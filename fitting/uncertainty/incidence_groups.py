@@ -23,8 +23,7 @@ def incidence_groups(problem: Problem) -> NDArray[np.int64]:
     d, n = problem.samples.directions, problem.n
     theta, phi = (np.degrees(np.broadcast_to(a, (n,))) for a in (d.theta_i, d.phi_i))
     phi = np.where(theta < NORMAL_DEG, 0.0, np.round(phi) % 360)
-    pairs = np.unique(np.column_stack([np.round(theta), phi]), axis=0, return_inverse=True)[1]
-    pairs = np.asarray(pairs.ravel(), np.int64)
+    pairs = np.unique(360 * np.round(theta) + phi, return_inverse=True)[1].astype(np.int64)
     by_theta = classes(theta, MOST)
     few = int(pairs.max()) < MOST
     if few and (not problem.model.claims.isotropic or int(by_theta.max()) + 1 < FEWEST):

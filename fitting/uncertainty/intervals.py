@@ -13,6 +13,7 @@ from gonio.fitting.residual_tests.misfit import MisfitTest
 from gonio.fitting.result import Estimate
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.degrees_of_freedom import quantile
+from gonio.fitting.uncertainty.profile_curvature import curved_profile
 from gonio.fitting.uncertainty.profile_limits import excluded
 from gonio.fitting.uncertainty.profile_limits import limit as bound_limit
 from gonio.geometry import FloatArray
@@ -85,13 +86,15 @@ def _inside(
 ) -> Estimate:
     """A parameter between its bounds.
 
-    Where an end of an interval leaves the bounds the curvature is no guide any more: that end is
-    looked for on the profile of chi-squared.
+    Where an end of an interval leaves the bounds, or chi-squared is far from a parabola there, the
+    curvature is no guide any more: that end is looked for on the profile of chi-squared.
     """
     q = minimum.problem.parameters[j]
     value = float(minimum.optimum.p[j])
     stderr = float(np.sqrt(errors.covariance[j, j]))
     dof = errors.dof_of(j)
+    # Under misfit the growth of chi-squared says nothing of the uncertainty.
+    curved = errors.allowance is None and curved_profile(minimum, j, quantile(0.975, dof))
     intervals = []
     for level in LEVELS:
         t = quantile((1 + level) / 2, dof)
@@ -107,7 +110,7 @@ def _inside(
                 minimum, j, bound, unit * (t / z) ** 2, level
             ):
                 end = bound
-            elif side * (value + side * t * stderr - bound) >= 0:
+            elif curved or side * (value + side * t * stderr - bound) >= 0:
                 end = bound_limit(minimum, j, z**2, side=side, test=test)
             ends.append(bound if end is None else end)
         intervals.append((ends[0], ends[1]))

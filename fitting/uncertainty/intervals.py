@@ -54,7 +54,8 @@ def estimated(
         if j in optimum.limited:
             estimates[q.name] = _along_sum(minimum, j, allowed)
             continue
-        estimate = Estimate(value, None, q.unit, None, None, None)
+        known = bool(errors.determined[j])
+        estimate = Estimate(value, None, q.unit, None, None, None, established=known)
         if errors.determined[j] and bare:
             estimates[q.name] = estimate
             continue
@@ -115,7 +116,7 @@ def _inside(
             ends.append(bound if end is None else end)
         intervals.append((ends[0], ends[1]))
     if intervals[1] == (q.lower, q.upper):
-        return Estimate(value, None, q.unit, None, None, None)
+        return Estimate(value, None, q.unit, None, None, None, established=False)
     components = errors.components(j)
     is_known = stderr < q.upper - q.lower
     return Estimate(

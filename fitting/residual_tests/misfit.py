@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.residual_tests.model_errors import error_columns
-from gonio.fitting.residual_tests.quadratic_forms import combined, component_test
+from gonio.fitting.residual_tests.quadratic_forms import combined
 from gonio.fitting.residual_tests.standardised import MOST, Noise, Standardised, standardise
 
 ALARM = 0.01  # share of true models in which structure is reported

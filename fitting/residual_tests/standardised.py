@@ -133,7 +133,7 @@ def standardise(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> S
 def _noise(
     problem: Problem, f: FloatArray, residual: FloatArray, unit: float
 ) -> tuple[FloatArray, Noise]:
-    """One over the noise, as stated where it is; else sd^2 = a + b f^2 from the scatter, by part."""
+    """One over the noise: as stated, or sd^2 = a + b f^2 from the scatter, by part."""
     if problem.weights == "sd":
         return np.sqrt(problem.inverse_variance), "stated"
     if problem.samples.u_independent is not None:

@@ -13,13 +13,15 @@ import numpy as np
 from gonio._version import __version__
 from gonio.samples import BRDFSamples
 
+UNSTATED_ANGLES = "errors of the directions"  # of samples whose file does not state them
+
 
 def provenance(samples: BRDFSamples) -> dict[str, Any]:
     """What a result says of its origin: versions of the programs, and the data."""
-    return {
-        "versions": dict(_versions()),
-        "source": {"data_sha256": data_hash(samples), **samples.metadata},
-    }
+    source = {"data_sha256": data_hash(samples), **samples.metadata}
+    if samples.cells is None and not any(term.moves_directions for term in samples.shared):
+        source["unknown"] = [*(source.get("unknown") or ()), UNSTATED_ANGLES]
+    return {"versions": dict(_versions()), "source": source}
 
 
 @cache

@@ -25,6 +25,7 @@ import calibration_pages  # noqa: E402
 import command_pages  # noqa: E402
 import model_pages  # noqa: E402
 import notebook_pages  # noqa: E402
+import question_pages  # noqa: E402
 import render_pictures  # noqa: E402
 
 import gonio  # noqa: E402
@@ -71,6 +72,7 @@ def generate(app: Any) -> None:
     command_pages.write_python(GENERATED / "python")
     notebook_pages.write(GENERATED / "papers", ROOT / "notebooks", HERE / "papers")
     calibration_pages.write(GENERATED / "calibration")
+    question_pages.write(GENERATED / "checks")
     angles.draw(GENERATED / "angles.png")
     render_pictures.write(GENERATED / "render")
     for source, target in ROOT_PAGES.items():

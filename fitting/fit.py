@@ -29,6 +29,7 @@ from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.fitting.residual_tests.misfit import misfit_test
 from gonio.fitting.result import FitResult, PosteriorSummary, plain
+from gonio.fitting.screening import screened
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
@@ -125,11 +126,15 @@ def fit(
         something to share, parameters that cannot be fixed or tied so, or priors without
         a posterior.
     DataError
-        If there are not more samples than parameters, or a posterior is asked for where there
-        is no noise.
+        If there are not more samples than parameters, if the samples cannot be what they claim
+        (angles in radians, codes for missing readings in most lines), or a posterior is asked for
+        where there is no noise.
 
     Notes
     -----
+    The samples are asked the questions of `gonio.check` first. Values that are no measurements are
+    left out, and the warnings say how many.
+
     Independent errors set the weights; errors that samples share (the standard, the lamp, the
     mapping) are propagated to the parameters linearly and added, and not estimated from the data,
     unless `nuisance` names them.
@@ -170,14 +175,15 @@ def fit(
     options["constraints"] = held
     if share is None:
         options |= {"engine": searched_by, "loss": loss}
-    minimum = _minimum(samples, chosen, share, **options)
+    screening = screened(samples)
+    minimum = _minimum(screening.samples, chosen, share, **options)
     minimum = profiled(minimum, profiled_terms(minimum.problem.samples, nuisance))
     chain = None
     if posterior:
         minimum, chain = sampled(minimum, priors, seed=seed, sampler=sampler, progress=progress)
     if chain is not None and draws is not None:
         predictive.save(chain, Path(draws), minimum.problem, scale=minimum.noise_scale, seed=seed)
-    return FitResult(
+    result = FitResult(
         model=chosen.name,
         model_source=source_of(chosen),
         seed=seed,
@@ -191,6 +197,7 @@ def fit(
         **_inferred(minimum, chain, None if draws is None else str(draws), chosen.note),
         **provenance(minimum.problem.samples),
     )
+    return screening.noted(result)
 
 
 def _stated(minimum: Minimum) -> dict[str, Any]:

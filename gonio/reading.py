@@ -7,6 +7,7 @@ from pathlib import Path
 
 import gonio.formats as formats
 from gonio.calibration.reduction.reduce import reduce
+from gonio.checks import measurements
 from gonio.errors import DataError
 from gonio.progress import StagedProgress, begin
 from gonio.samples import BRDFSamples
@@ -23,6 +24,9 @@ def load(
     progress: StagedProgress | None = None,
 ) -> BRDFSamples:
     """BRDF samples from a session, a samples file, or any BRDF file that gonio reads.
+
+    Codes for missing readings, such as -9999, are left out; the history of the samples says so, and
+    `gonio.check` lists them.
 
     Parameters
     ----------
@@ -75,7 +79,7 @@ def load_with_session(
                 "gonio.FitResult.load and shown by 'gonio plot' and 'gonio report'.",
                 value=source,
             )
-        return formats.read(source, select=select), None
+        return measurements(formats.read(source, select=select)).samples, None
     session = Session.open(source)
     session.require_complete()
     callback = begin(progress, f"reducing {source.name or source}", "images")

@@ -55,7 +55,7 @@ ALLOWED = {
     "session": FOUNDATION | {"metadata"},
     "plan_file": FOUNDATION | {"metadata"},
     "data": {"errors", "files"},
-    "checks": {"errors", "wording", "geometry", "samples", "models"},
+    "checks": {"errors", "wording", "discovery", "geometry", "samples", "models"},
     "materials": SURFACE,
     "instrument": SURFACE | {"session", "metadata", "materials", "board"},
     "simulation": SURFACE | {"session", "metadata", "materials", "instrument", "plan_file"},
@@ -63,11 +63,11 @@ ALLOWED = {
     # The reducer never sees the truth, the fitter never sees the inside of the instrument.
     "calibration": FOUNDATION
     | {"session", "metadata", "samples", "shared_term", "board", "kernels.threads"},
-    "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels"},
+    "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels", "checks"},
     "planning": SURFACE
     | {"session", "metadata", "instrument", "simulation", "calibration", "fitting", "plan_file"},
     # Samples from anywhere, and true parameters: both ask the session, which no fit sees.
-    "reading": FOUNDATION | {"samples", "session", "calibration", "formats"},
+    "reading": FOUNDATION | {"samples", "session", "calibration", "formats", "checks"},
     "recovery": SURFACE | {"session", "fitting"},
     "formats": FOUNDATION | {"samples", "shared_term"},
     "rendering": SURFACE,
@@ -255,7 +255,7 @@ FLOORS: dict[str, list[set[str]]] = {
     ],
     "fitting": [
         {"result", "provenance", "problem"},
-        {"minimum", "part_choice"},
+        {"minimum", "part_choice", "screening"},
         {"residual_tests"},
         {"uncertainty"},
         {"posterior", "diagnostics", "comparison", "warnings"},

@@ -22,6 +22,7 @@ from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
+from gonio.fitting.screening import screened
 from gonio.models import Model, source_of
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
@@ -105,6 +106,8 @@ def compare(
     """
     chosen = _checked(models)
     constraints = _constraints(chosen, fixed or {}, tied or {})
+    screening = screened(samples)
+    samples = screening.samples
     minima = []
     for model in chosen:
         held = constraints[model.name]
@@ -140,7 +143,7 @@ def compare(
         seed=seed,
         groups=tuple(_described(samples, g) for g in groups),
         cuts=dict(cuts or {}),
-        notes=tuple(_notes(reference, groups, len(some))),
+        notes=(*screening.warnings, *_notes(reference, groups, len(some))),
         fixed=_in_file_units(chosen, fixed or {}),
         tied=dict(tied or {}),
         **provenance(samples),

@@ -266,7 +266,8 @@ def _group_residuals(left: Whitened, grouping: Grouping) -> list[GroupResidual]:
             grouping.theta_i_deg[g],
             int(counts[g]),
             round(float(z[g] / (noise * np.sqrt(counts[g]))), 3),
-            float(f"{above[g] / below[g]:.3g}") if below[g] > 0 else None,
+            # Of a model that is almost 0 no residual is a share.
+            float(f"{above[g] / below[g]:.3g}") if below[g] > 1e-12 * abs(above[g]) else None,
         )
         for g in range(k)
     ]

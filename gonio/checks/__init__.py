@@ -2,8 +2,12 @@
 
 from gonio.checks.model import check_model
 from gonio.checks.model_report import Finding, ModelReport
+from gonio.checks.pairs import Pairing
+from gonio.checks.plausibility import Plausibility, measurements, plausible
+from gonio.checks.quantity import BRDF, UNDECIDED
+from gonio.checks.questions import Finding as SamplesFinding
 from gonio.checks.samples import check_samples
-from gonio.checks.samples_report import BRDF, UNDECIDED, Pairing, SamplesReport
+from gonio.checks.samples_report import SamplesReport
 from gonio.models.albedo import Albedo, bihemispherical_albedo, directional_albedo
 
 __all__ = [
@@ -13,9 +17,13 @@ __all__ = [
     "Finding",
     "ModelReport",
     "Pairing",
+    "Plausibility",
+    "SamplesFinding",
     "SamplesReport",
     "bihemispherical_albedo",
     "check_model",
     "check_samples",
     "directional_albedo",
+    "measurements",
+    "plausible",
 ]

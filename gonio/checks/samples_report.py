@@ -7,27 +7,12 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
+from gonio.checks.pairs import Pairing
+from gonio.checks.quantity import BRDF, UNDECIDED
+from gonio.checks.questions import Finding
 from gonio.wording import counted, paragraph
 
-UNDECIDED = "undecided"
-BRDF = "BRDF"
-
-
-@dataclass(frozen=True)
-class Pairing:
-    """Agreement of pairs of values that should be equal.
-
-    Parameters
-    ----------
-    n_pairs : int
-        Number of pairs in the data.
-    median, rms : float or None
-        Median and root mean square of |a - b| / mean(|a|, |b|); None without pairs.
-    """
-
-    n_pairs: int
-    median: float | None
-    rms: float | None
+LEVELS = {"refuse": "REFUSED by a fit", "warning": "Warning", "note": "Note"}
 
 
 @dataclass(frozen=True)
@@ -37,7 +22,7 @@ class SamplesReport:
     Parameters
     ----------
     n_samples, n_negative : int
-        Number of samples, and of samples below zero.
+        Number of samples that are measurements, and of samples below zero.
     tolerance_deg : float
         Largest allowed angle between each direction of a pair and its exact partner.
     reciprocity : Pairing
@@ -54,9 +39,14 @@ class SamplesReport:
         that distinguish the quantities.
     n_telling : int
         Number of pairs that distinguish the quantities.
+    power, u_power : float or None
+        Power of cos(theta_r) by which reciprocal pairs differ, with its standard uncertainty: 0 for
+        a BRDF, 1 for BRDF*cos(theta_r), -1 for BRDF*cos(theta_i).
     albedo : float or None
         Largest directional albedo by a rough sum over nearest samples, after the quantity's cosine
         is removed; None if the data cover too little of the hemisphere.
+    findings : tuple of Finding
+        What is implausible, refusals first.
     notes : tuple of str
         What the numbers mean, and what they cannot decide.
 
@@ -74,7 +64,10 @@ class SamplesReport:
     quantity: str
     candidates: Mapping[str, float]
     n_telling: int
+    power: float | None
+    u_power: float | None
     albedo: float | None
+    findings: tuple[Finding, ...]
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -85,17 +78,27 @@ class SamplesReport:
 
     @property
     def passed(self) -> bool:
-        """False if the data show that they are not a BRDF."""
-        return self.quantity in (BRDF, UNDECIDED)
+        """False if the data are no BRDF, or hold something that a fit warns of or refuses."""
+        return self.quantity in (BRDF, UNDECIDED) and all(
+            finding.level == "note" for finding in self.findings
+        )
 
     def describe(self) -> dict[str, Any]:
         """The report as plain data, for --json."""
-        return {"schema": "gonio.check_samples/1", "passed": self.passed, **asdict(self)}
+        return {
+            "schema": "gonio.check_samples/1",
+            "passed": self.passed,
+            **asdict(self),
+            "findings": [finding.describe() for finding in self.findings],
+        }
 
 
 def _page(report: SamplesReport) -> Iterator[str]:
     yield f"{counted(report.n_samples, 'sample')}, {report.n_negative} of them negative."
     yield ""
+    for finding in report.findings:
+        yield paragraph(f"{LEVELS[finding.level]} ({finding.code}): {finding.text}")
+        yield ""
     within = f"partners within {report.tolerance_deg:g} deg"
     yield f"{within:<28} {'pairs':>7} {'median':>8} {'rms':>8}"
     yield _pairing_line("light and viewer exchanged", report.reciprocity)

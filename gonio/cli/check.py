@@ -43,11 +43,12 @@ def command(
     selections: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Check a model or a file for reciprocity, energy and quantity.
+    """Check a model or a file for reciprocity, energy and plausibility.
 
     TARGET is a model, a material or a file of BRDF samples. A model is tested against its claims.
-    The samples of a file are tested for reciprocity, which also shows whether the values still
-    contain a cosine. The exit code is 1 if a claim fails or the values are not a BRDF.
+    The samples of a file are asked whether they can be what they claim: angles, unit, quantity, and
+    values that are no measurements. A fit asks the same. The exit code is 1 if a claim fails, if
+    the values are not a BRDF, or if a fit would warn of the samples or refuse them.
     """
     from gonio.cli.options import echo_json
 

@@ -23,6 +23,14 @@ MAX_BYTES = 2 << 30
 # Angles printed with few digits (1.570797 rad) may pass the horizon by their rounding.
 HORIZON_SLACK = 1e-6
 _BLOCK = 100_000
+# Words of spreadsheets and programs for a reading that does not exist.
+MISSING = frozenset(
+    (
+        *("", "-", "--", "---", "?", "nan", "+nan", "-nan", "na", "n/a", "n.a.", "#n/a", "nil"),
+        *("null", "none", "missing", "overflow", "#num!", "#value!", "#div/0!"),
+        *("inf", "+inf", "-inf", "infinity", "-infinity"),
+    )
+)
 
 Lines = NDArray[np.int64]
 
@@ -167,6 +175,23 @@ def numbers(path: Path, lines: Lines, column: str, cells: Sequence[str]) -> Floa
             "number; correct it or remove the line.",
             value=cells[k],
         )
+    return values
+
+
+def measured(path: Path, lines: Lines, column: str, cells: Sequence[str]) -> FloatArray:
+    """The cells of one column of readings; NaN where a cell says that there is none.
+
+    Raises
+    ------
+    DataError
+        Naming line, column and value of the first cell that is neither a number nor such a word.
+    """
+    missing = np.array([cell.strip().lower() in MISSING for cell in cells], dtype=bool)
+    if not missing.any():
+        return numbers(path, lines, column, cells)
+    values = np.full(len(cells), np.nan)
+    keep = np.flatnonzero(~missing)
+    values[keep] = numbers(path, lines[keep], column, [cells[k] for k in keep])
     return values
 
 

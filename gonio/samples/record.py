@@ -100,6 +100,8 @@ class SampleRecord:
         Index of the image (incidence and rotation) of the sample.
     wavelength_nm : ndarray, shape (N,), optional
     channel : ndarray of str, shape (N,), optional
+    line : ndarray of int64, shape (N,), optional
+        Line of the text file that a sample was read from. Messages name it; no file keeps it.
     cells : Cells, optional
         Members for a model integrated over the cell; the model is taken at `directions` if None.
     history : tuple of str
@@ -123,6 +125,7 @@ class SampleRecord:
     image: NDArray[np.int64] | None = None
     wavelength_nm: FloatArray | None = None
     channel: NDArray[np.str_] | None = None
+    line: NDArray[np.int64] | None = None
     cells: Cells | None = None
     history: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
@@ -151,7 +154,7 @@ class SampleRecord:
                     "BRDF samples lie at 0 to 90 deg from the normal.",
                     value=float(theta.max()),
                 )
-        for name in PER_SAMPLE:
+        for name in (*PER_SAMPLE, "line"):
             column = getattr(self, name)
             if column is not None and column.shape != (n,):
                 called = "the uncertainty (u_independent)" if name == "u_independent" else name
@@ -239,7 +242,7 @@ class SampleRecord:
         angles = [np.broadcast_to(getattr(d, a), (n,))[index] for a in ANGLES]
         columns: dict[str, Any] = {
             name: None if (column := getattr(self, name)) is None else column[index]
-            for name in PER_SAMPLE
+            for name in (*PER_SAMPLE, "line")
         }
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""Check of a model against its claims, or of BRDF samples for reciprocity."""
+"""Check of a model against its claims, or of BRDF samples for what is implausible in them."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def check(
     *,
     select: Mapping[str, str] | None = None,
 ) -> ModelReport | SamplesReport:
-    """Check a model or BRDF samples for reciprocity, energy and quantity.
+    """Check a model or BRDF samples for reciprocity, energy and plausibility.
 
-    A model is tested against its claims. Samples are tested for reciprocity, which also shows
-    whether their values still contain a cosine.
+    A model is tested against its claims. Samples are asked whether they can be what they claim:
+    angles, unit, quantity, and values that are no measurements. A fit asks the same.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ def check(
     Returns
     -------
     ModelReport or SamplesReport
-        ``passed`` says whether every claim holds, or whether the values are a BRDF.
+        ``passed`` says whether every claim holds, or whether nothing in the samples would make a
+        fit warn or refuse; ``findings`` lists what would.
 
     Raises
     ------

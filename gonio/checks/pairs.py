@@ -1,0 +1,163 @@
+"""Pairs of samples that should be equal: light and viewer exchanged, or mirrored."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.geometry import Directions, FloatArray
+from gonio.samples import ANGLES, BRDFSamples
+
+MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
+TOLERANCE_DEG = 2.0
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Reciprocal pairs.
+
+    Parameters
+    ----------
+    k, j : ndarray of int64
+        Sample j lies where sample k does with light and viewer exchanged. Each pair stands once.
+    assumed_isotropic : bool
+        Whether partners were searched at any azimuth of the sample and on both sides of the plane
+        of incidence, because the data contain too few others.
+    """
+
+    k: Indices
+    j: Indices
+    assumed_isotropic: bool
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Agreement of pairs of values that should be equal.
+
+    Parameters
+    ----------
+    n_pairs : int
+        Number of pairs in the data.
+    median, rms : float or None
+        Median and root mean square of |a - b| / mean(|a|, |b|); None without pairs.
+    """
+
+    n_pairs: int
+    median: float | None
+    rms: float | None
+
+    @classmethod
+    def of(cls, value: FloatArray, k: Indices, j: Indices) -> Pairing:
+        """The agreement of the values of these pairs."""
+        if len(k) == 0:
+            return cls(0, None, None)
+        off = disagreement(value[k], value[j])
+        return cls(len(k), float(np.median(off)), float(np.sqrt(np.mean(off**2))))
+
+
+def reciprocal_pairs(samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG) -> Pairs:
+    """Pairs of samples with light and viewer exchanged, within a wavelength and channel.
+
+    Parameters
+    ----------
+    samples : BRDFSamples
+    tolerance_deg : float
+        Largest angle between each direction of a pair and its exact partner.
+    """
+    tolerance = math.radians(tolerance_deg)
+    group = groups(samples)
+    theta_i, phi_i, theta_r, phi_r = four_angles(samples)
+    delta = np.abs(azimuth_between(theta_i, phi_i, theta_r, phi_r))
+    directions = Directions(theta_i, phi_i, theta_r, phi_r)
+    k, j = _partners(directions, directions.swapped(), group, tolerance)
+    # If the sample was never rotated, only the plane of incidence holds such partners.
+    assumed = _one_azimuth(phi_i[theta_i > tolerance], tolerance) or len(k) < MIN_PAIRS
+    if assumed:
+        zero = np.zeros_like(delta)
+        folded = Directions(theta_i, zero, theta_r, delta)
+        exchanged = Directions(theta_r, zero, theta_i, delta)
+        k, j = _partners(folded, exchanged, group, tolerance)
+    return Pairs(k, j, assumed)
+
+
+def mirror_pairs(
+    samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG
+) -> tuple[Indices, Indices]:
+    """Pairs of samples at phi_r - phi_i = +x and -x, equal on an isotropic surface."""
+    theta_i, phi_i, theta_r, phi_r = four_angles(samples)
+    delta = azimuth_between(theta_i, phi_i, theta_r, phi_r)
+    zero = np.zeros_like(delta)
+    relative = Directions(theta_i, zero, theta_r, delta)
+    opposite = Directions(theta_i, zero, theta_r, -delta)
+    return _partners(relative, opposite, groups(samples), math.radians(tolerance_deg))
+
+
+def four_angles(samples: BRDFSamples) -> tuple[FloatArray, ...]:
+    """theta_i, phi_i, theta_r and phi_r of every sample, radians."""
+    n = len(samples)
+    return tuple(np.broadcast_to(getattr(samples.directions, name), (n,)) for name in ANGLES)
+
+
+def groups(samples: BRDFSamples) -> Indices:
+    """Group index by wavelength and channel; values are compared within a group only."""
+    group = np.zeros(len(samples), np.int64)
+    for column in (samples.wavelength_nm, samples.channel):
+        if column is not None:
+            _, index = np.unique(column, return_inverse=True)
+            group = group * (int(index.max(initial=0)) + 1) + index
+    return group
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """The same azimuth in [-pi, pi)."""
+    result: FloatArray = (angle + np.pi) % (2 * np.pi) - np.pi
+    return result
+
+
+def azimuth_between(
+    theta_i: FloatArray, phi_i: FloatArray, theta_r: FloatArray, phi_r: FloatArray
+) -> FloatArray:
+    """phi_r - phi_i in [-pi, pi), 0 where a direction is the normal and has no azimuth."""
+    at_normal = np.minimum(theta_i, theta_r) < 1e-9
+    return np.where(at_normal, 0.0, wrapped(phi_r - phi_i))
+
+
+def disagreement(a: FloatArray, b: FloatArray) -> FloatArray:
+    """|a - b| / mean(|a|, |b|), between 0 and 2; two zeros agree."""
+    mean = (np.abs(a) + np.abs(b)) / 2
+    result: FloatArray = np.abs(a - b) / np.where(mean > 0, mean, 1.0)
+    return result
+
+
+def _one_azimuth(phi: FloatArray, tolerance: float) -> bool:
+    """Whether all azimuths are the same."""
+    return not len(phi) or bool(np.all(np.abs(wrapped(phi - phi[0])) < tolerance))
+
+
+def _partners(
+    have: Directions, want: Directions, group: Indices, tolerance: float
+) -> tuple[Indices, Indices]:
+    """Pairs (k, j), each once: sample j lies in the direction `want` of the partner of sample k."""
+    from scipy.spatial import cKDTree
+
+    if len(group) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    # Groups lie farther from each other than any two directions.
+    separation = 10.0 * group[:, None]
+    points = np.hstack([*have.vectors(), separation])
+    wanted = np.hstack([*want.vectors(), separation])
+    joint_distance, nearest = cKDTree(points).query(wanted, distance_upper_bound=1.5 * tolerance)
+    k = np.flatnonzero(np.isfinite(joint_distance))
+    j = np.asarray(nearest[k], np.int64)
+    distance = np.maximum(
+        np.linalg.norm(points[j, :3] - wanted[k, :3], axis=1),
+        np.linalg.norm(points[j, 3:6] - wanted[k, 3:6], axis=1),
+    )
+    keep = (distance <= tolerance) & (k != j)
+    pairs = np.unique(np.sort(np.stack([k[keep], j[keep]], axis=1), axis=1), axis=0)
+    return pairs[:, 0], pairs[:, 1]

@@ -1,0 +1,134 @@
+"""What the questions look at: the samples of one wavelength and channel, and their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.checks.pairs import Pairs, azimuth_between, reciprocal_pairs
+from gonio.checks.quantity import QuantityTest, quantity_of
+from gonio.checks.questions.lobe_fit import LobeFit, lobe_fit
+from gonio.geometry import FloatArray
+from gonio.samples import ANGLES, BRDFSamples
+
+NEIGHBOURS = 8
+SHOWN = 5  # samples that a sentence names
+
+
+class Evidence:
+    """Samples of one wavelength and channel, with what several questions compute from them.
+
+    Parameters
+    ----------
+    samples : BRDFSamples
+    """
+
+    def __init__(self, samples: BRDFSamples) -> None:
+        self.samples = samples
+        self.n = len(samples)
+        self.value = samples.value
+        self.u = samples.u_independent
+        self.theta_i, self.phi_i, self.theta_r, self.phi_r = (
+            np.broadcast_to(getattr(samples.directions, name), (self.n,)) for name in ANGLES
+        )
+
+    @cached_property
+    def delta(self) -> FloatArray:
+        """phi_r - phi_i in [-pi, pi), 0 where a direction is the normal."""
+        return azimuth_between(self.theta_i, self.phi_i, self.theta_r, self.phi_r)
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Samples and their partners with light and viewer exchanged."""
+        return reciprocal_pairs(self.samples)
+
+    @cached_property
+    def quantity(self) -> QuantityTest:
+        """Which quantity the reciprocal pairs say that the values hold."""
+        return quantity_of(self.value, self.u, self.theta_i, self.theta_r, self.pairs)
+
+    @cached_property
+    def incidence(self) -> NDArray[np.int64]:
+        """Index of the incident direction of each sample, to a hundredth of a degree."""
+        phi = np.where(self.theta_i < 1e-6, 0.0, np.degrees(self.phi_i) % 360)
+        keys = np.round(np.stack([np.degrees(self.theta_i), phi], axis=1), 2)
+        return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+    @cached_property
+    def n_incidences(self) -> int:
+        return int(self.incidence.max(initial=-1)) + 1
+
+    def of_incidence(self, number: int) -> NDArray[np.int64]:
+        """The samples of an incident direction."""
+        return np.flatnonzero(self.incidence == number)
+
+    @cached_property
+    def geometry_class(self) -> NDArray[np.int64]:
+        """Samples of one class have the same value on a reciprocal isotropic surface."""
+        low, high = np.minimum(self.theta_i, self.theta_r), np.maximum(self.theta_i, self.theta_r)
+        keys = np.round(np.degrees(np.stack([low, high, np.abs(self.delta)], axis=1)), 2)
+        return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+    @cached_property
+    def neighbours(self) -> NDArray[np.int64]:
+        """The nearest samples of each sample with almost the same incidence, shape (N, k)."""
+        from scipy.spatial import cKDTree
+
+        w_i, w_r = self.samples.directions.vectors()
+        # Samples of another incidence are near where an incidence has few samples only.
+        points = np.hstack([3.0 * np.broadcast_to(w_i, (self.n, 3)), w_r])
+        k = min(NEIGHBOURS + 1, self.n)
+        nearest = np.atleast_2d(cKDTree(points).query(points, k=k)[1]).reshape(self.n, k)
+        own = nearest == np.arange(self.n)[:, None]
+        own[~own.any(axis=1), -1] = True
+        return nearest[~own].reshape(self.n, k - 1).astype(np.int64)
+
+    @cached_property
+    def from_mirror(self) -> FloatArray:
+        """Tilt of the half vector from the normal, radians; 0 in the mirror direction."""
+        w_i, w_r = self.samples.directions.vectors()
+        half = w_i + w_r
+        length = np.linalg.norm(half, axis=-1)
+        tilt = np.arccos(np.clip(half[..., 2] / np.maximum(length, 1e-12), -1, 1))
+        return np.broadcast_to(tilt, (self.n,))
+
+    @cached_property
+    def phase(self) -> FloatArray:
+        """Angle between light and viewer, radians; 0 in the direction of the light."""
+        w_i, w_r = self.samples.directions.vectors()
+        return np.broadcast_to(np.arccos(np.clip(np.sum(w_i * w_r, axis=-1), -1, 1)), (self.n,))
+
+    @cached_property
+    def lobes(self) -> LobeFit | None:
+        """How well lobes explain the values with the angles read in several ways."""
+        return lobe_fit(self.theta_i, self.theta_r, self.delta, self.value)
+
+    def where(self, samples: NDArray[np.int64] | Sequence[int]) -> str:
+        """Lines of the first samples of a list, or their directions where there are no lines."""
+        index = np.asarray(samples, np.int64)
+        more = f" and {len(index) - SHOWN} more" if len(index) > SHOWN else ""
+        if self.samples.line is not None:
+            lines = sorted(self.samples.line[index].tolist())
+            return f"{'line' if len(lines) == 1 else 'lines'} {_listed(lines[:SHOWN])}{more}"
+        return "; ".join(self.direction(k) for k in index[:SHOWN].tolist()) + more
+
+    def direction(self, k: int) -> str:
+        """The four angles of a sample in words."""
+        angles = (self.theta_i, self.phi_i, self.theta_r, self.phi_r)
+        text = ", ".join(
+            f"{name} {float(np.degrees(a[k])):.5g}" for name, a in zip(ANGLES, angles, strict=True)
+        )
+        return f"({text} deg)"
+
+    def lines(self, samples: NDArray[np.int64] | Sequence[int]) -> tuple[int, ...]:
+        """Lines of the file, where known."""
+        if self.samples.line is None:
+            return ()
+        return tuple(sorted(self.samples.line[np.asarray(samples, np.int64)].tolist()))
+
+
+def _listed(lines: Sequence[int]) -> str:
+    return ", ".join(str(line) for line in lines)

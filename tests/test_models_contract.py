@@ -216,6 +216,7 @@ WITHOUT_BOUND = {
     "oren_nayar": (75, {"rho": 1, "sigma": 0.1}),
     "oren_nayar_qualitative": (80, {"rho": 1, "sigma": 0.1}),
     "oren_nayar_torrance_sparrow": (75, {"rho": 1, "sigma": 0.1, "ks_over_kb": 0}),
+    "abg": (0, {"A": 0.1, "B": 1e-4, "g": 2}),
 }
 
 

@@ -484,3 +484,32 @@ def test_the_polynomial_is_the_mean_of_the_sums(alpha, eta):
     )
     # 5e-6 low on purpose.
     assert mean - 1e-5 < seen_mean(alpha, eta)[0] < mean
+
+
+# --- ABg ------------------------------------------------------------------------------------------
+
+
+def test_abg_as_written_in_the_plane_of_incidence():
+    theta_i, theta_r = 0.3, np.array([-0.8, -0.2, 0.0, 0.3, 0.31, 1.2])
+    # Angles towards the mirror direction are positive.
+    d = Directions(theta_i, np.pi, np.abs(theta_r), np.where(theta_r < 0, np.pi, 0.0))
+    f = models.get("abg")(d, A=2e-3, B=1e-4, g=1.7)
+    expected = 2e-3 / (1e-4 + np.abs(np.sin(theta_r) - np.sin(theta_i)) ** 1.7)
+    np.testing.assert_allclose(f, expected, rtol=1e-11)
+
+
+def test_abg_falls_with_the_distance_of_projections_out_of_the_plane():
+    """A direction as far from the normal as the mirror direction, and not near it."""
+    theta, phi = 0.6, 1.1
+    f = models.get("abg")(Directions(theta, 0.0, theta, np.pi + phi), A=1e-3, B=1e-5, g=2.0)
+    chord = 2 * np.sin(theta) * np.sin(phi / 2)
+    assert f == pytest.approx(1e-3 / (1e-5 + chord**2), rel=1e-12)
+
+
+@pytest.mark.parametrize("b", [1e-6, 1e-3, 0.5])
+def test_the_albedo_of_abg_at_normal_incidence(b):
+    from gonio.checks import directional_albedo
+
+    given = {"A": 1e-3, "B": b, "g": 2.0}
+    found = directional_albedo(models.get("abg"), given, 0.0, rtol=1e-4)
+    assert found.value == pytest.approx(np.pi * 1e-3 * np.log(1 + 1 / b), rel=1e-3)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gonio.geometry import HORIZON, FloatArray, angles, equal_area, from_equal_area, unit_vectors
-from gonio.models.sampling import Facets, Lobe, Named
+from gonio.models.sampling import NADIR, Facets, Lobe, Named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,6 +207,41 @@ class AboutMirror(Lobe):
         n = p[self.n]
         cos = w_i[:, 2] * w_r[:, 2] - w_i[:, 0] * w_r[:, 0] - w_i[:, 1] * w_r[:, 1]
         return np.asarray((n + 1) / (2 * np.pi) * np.maximum(cos, 0) ** n)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AboutMirrorProjection(Lobe):
+    """Projections beta of w_r on the surface about that of the mirror direction, as `abg` falls.
+
+    pdf(beta) = (x_0^2 + x^2)^(-g/2)/norm for x = |beta - beta_0| below 1 + sin(theta_i), with
+    x_0 = B^(1/g); pdf(r) = pdf(beta) cos(theta_r). With L = ln(1 + x^2/x_0^2) and m = 1 - g/2 the
+    distribution of x is [exp(m L) - 1]/[exp(m L_max) - 1]. A beta beyond the unit circle is lost.
+    """
+
+    B: str
+    g: str
+
+    def draw(self, p: Named, w_i: FloatArray, u: FloatArray) -> FloatArray:
+        m, square, most = self._shape(p, w_i)
+        level = u[0] * most if m == 0 else np.log1p(u[0] * np.expm1(m * most)) / m
+        x, psi = np.sqrt(square * np.expm1(level)), 2 * np.pi * u[1]
+        beta = np.stack([x * np.cos(psi), x * np.sin(psi)], -1) - w_i[:, :2]
+        z2 = 1 - np.sum(beta**2, axis=-1)
+        w_r = np.column_stack([beta, np.sqrt(np.maximum(z2, 0.0))])
+        return np.where((z2 > 0)[:, None], w_r, NADIR)
+
+    def density(self, p: Named, w_i: FloatArray, w_r: FloatArray) -> FloatArray:
+        m, square, most = self._shape(p, w_i)
+        x2 = np.sum((w_i[:, :2] + w_r[:, :2]) ** 2, axis=-1)
+        level = np.log1p(x2 / square)
+        by_level = 1 / most if m == 0 else m * np.exp(m * level) / np.expm1(m * most)
+        return np.asarray(by_level / (np.pi * (square + x2)) * w_r[:, 2])
+
+    def _shape(self, p: Named, w_i: FloatArray) -> tuple[float, float, FloatArray]:
+        """m, x_0^2 and L_max (n,)."""
+        square = p[self.B] ** (2 / p[self.g])
+        reach = 1 + np.hypot(w_i[:, 0], w_i[:, 1])
+        return 1 - p[self.g] / 2, square, np.log1p(reach**2 / square)
 
 
 def schlick(f_0: float, cos_i: FloatArray) -> FloatArray:

@@ -73,8 +73,9 @@ def fit(
         are fitted together, each with its own values of the others, named `rho_d[650 nm]`,
         `rho_d[red]` or `rho_d[paint_a]`. An empty sequence shares nothing. Names may stand in one
         text, with commas.
-    weights : {"sd", "none", "cos", "coscos"}, optional
-        What residuals are multiplied by; "sd" where the samples have uncertainties.
+    weights : {"sd", "none", "cos", "coscos", "relative"}, optional
+        What residuals are multiplied by; "sd" where the samples have uncertainties. "relative" is
+        one over the fitted value.
     start : mapping, optional
         Starting values (radians for angles) beside those that the data suggest. Where these lead
         to a deeper minimum, it is taken and a warning names the other one.
@@ -87,10 +88,10 @@ def fit(
     engine : str
         What searches for the minimum before the Gauss-Newton steps in which every fit ends:
         "gauss_newton" (nothing else), "slsqp", "lbfgs", "mma", "bobyqa", "sbplx" or "mlsl".
-    loss : {"chi2", "log", "cube_root", "student_t"}
+    loss : {"chi2", "log", "cube_root", "relative", "student_t"}
         What is made small: the sum of squared weighted residuals, squared differences of
-        ln(1 + f cos theta_r) or of (f cos theta_r)^(1/3), or Student's t, which outliers hardly
-        move.
+        ln(1 + f cos theta_r), of (f cos theta_r)^(1/3) or of ln f, or Student's t, which outliers
+        hardly move.
     nuisance : {"none", "all"} or sequence of str
         Shared errors of the samples that the data may tell of, by name: each draw is an unknown of
         the fit whose prior the budget states. The others are propagated.

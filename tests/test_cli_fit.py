@@ -163,7 +163,7 @@ def test_a_folder_is_no_target(gonio, table, tmp_path):
 def test_weights_by_uncertainty_need_one(gonio, table):
     code, _, err = gonio("fit", table(u=False), "--model", "oren_nayar", "--weights", "sd")
     assert code == 2
-    assert "the samples have none (no u_brdf column); use none, cos or coscos." in err
+    assert "the samples have none (no u_brdf column); use none, relative, cos or coscos." in err
 
 
 def test_bad_input_leaves_with_3(gonio, table, tmp_path):

@@ -51,7 +51,7 @@ def test_weights_default_to_the_uncertainties_where_there_are_any():
 def test_unknown_weights_are_named():
     with pytest.raises(
         ConfigurationError,
-        match=r"^weights 'cosine' are unknown; allowed are none, cos, coscos, sd\.$",
+        match=r"^weights 'cosine' are unknown; allowed are none, cos, coscos, relative, sd\.$",
     ):
         problem_of(np.ones(10), directions(10), weights="cosine")
 
@@ -60,7 +60,7 @@ def test_sd_weights_need_uncertainties():
     with pytest.raises(
         ConfigurationError,
         match=r"^weights 'sd' need uncertainties and the samples have none \(no u_brdf column\); "
-        r"use none, cos or coscos\.$",
+        r"use none, relative, cos or coscos\.$",
     ):
         problem_of(np.ones(10), directions(10), weights="sd")
 

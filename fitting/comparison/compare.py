@@ -54,7 +54,7 @@ def compare(
         Of one wavelength and channel.
     models : sequence of str or Model
         Two at least.
-    weights : {"sd", "none", "cos", "coscos"}, optional
+    weights : {"sd", "none", "cos", "coscos", "relative"}, optional
         As `gonio.fit` takes them.
     fixed : mapping of str to float, optional
     tied : mapping of str to str, optional

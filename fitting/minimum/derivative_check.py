@@ -23,7 +23,8 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
     faulty = []
     for j, q in enumerate(parameters):
         width = q.upper - q.lower
-        step = float(np.finfo(float).eps ** (1 / 3) * max(abs(p[j]), 1e-3 * width))
+        size = abs(p[j]) if q.scale == "log" else max(abs(p[j]), 1e-3 * width)
+        step = float(np.finfo(float).eps ** (1 / 3) * size)
         if not 0 < 2 * step < width:
             continue
         centre = p.copy()

@@ -17,10 +17,12 @@ from gonio.fitting.problem.losses import CHI2
 from gonio.fitting.problem.protocol import Problem, Weights
 from gonio.fitting.problem.reduced import ReducedProblem
 from gonio.fitting.problem.single import SingleProblem
+from gonio.geometry import FloatArray
 from gonio.models import Model
 from gonio.samples import BRDFSamples
 
-SCALE_ROUNDS = 8  # in which a robust scale of the noise settles
+ROUNDS = 30  # in which weights from the fitted values settle
+SETTLED = 1e-6  # relative change of every weight that ends them
 
 
 def find_minimum(
@@ -79,13 +81,27 @@ def _find(
     return problem, optimum, warnings
 
 
-def reweighted_minimum(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
-    """Weights from the model's values need the model first: a few rounds settle them."""
+def reweighted_minimum(
+    problem: Problem, optimum: Optimum, *, search: bool = True
+) -> tuple[Problem, Optimum]:
+    """Weights from the model's values need the model first: a few rounds settle them.
+
+    `search` is that of `minimise`.
+    """
     if problem.weights_follow_model:
-        for _ in range(SCALE_ROUNDS if problem.finds_scale else 2):
+        for _ in range(2 if problem.weights == "sd" else ROUNDS):
+            before = problem.inverse_variance
             problem = problem.reweighted(optimum.p)
-            optimum = minimise(problem, optimum.p, near=True)
+            optimum = minimise(problem, optimum.p, search=search, near=True)
+            if settled(problem, before):
+                break
     return problem, optimum
+
+
+def settled(problem: Problem, before: FloatArray) -> bool:
+    """Whether the weights stand still: no other fit would follow from them."""
+    change = np.abs(problem.inverse_variance - before)
+    return problem.weights != "sd" and bool(np.all(change <= SETTLED * before))
 
 
 def without_spikes(problem: Problem, optimum: Optimum) -> tuple[Optimum, list[str]]:

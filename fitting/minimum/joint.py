@@ -10,7 +10,7 @@ import numpy as np
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.minimum.derivative_check import gradient_faults
-from gonio.fitting.minimum.find import find_minimum, without_spikes
+from gonio.fitting.minimum.find import ROUNDS, find_minimum, settled, without_spikes
 from gonio.fitting.minimum.joint_starts import (
     joint_starts,
 )
@@ -118,7 +118,7 @@ def _check(channels: Sequence[Channel], weights: Weights | None) -> None:
         raise ConfigurationError(
             f"{channels[has_u.index(False)].label} has no uncertainties and "
             f"{channels[has_u.index(True)].label} has; give u_brdf for all, or name the weights: "
-            "none, cos or coscos."
+            "none, relative, cos or coscos."
         )
 
 
@@ -179,7 +179,10 @@ def _find(
 def _reweighted_minimum(problem: JointProblem, optimum: Optimum) -> tuple[JointProblem, Optimum]:
     """Weights taken at the model's values, as in a fit of one BRDF."""
     if problem.weights_follow_model:
-        for _ in range(2):
+        for _ in range(2 if problem.weights == "sd" else ROUNDS):
+            before = problem.inverse_variance
             problem = problem.reweighted(optimum.p)
             optimum = minimise(problem, optimum.p, search=False)
+            if settled(problem, before):
+                break
     return problem, optimum

@@ -25,6 +25,7 @@ FEW = 400  # samples that choose which points these are asked about
 RESCORED = 10
 TURN = 410  # points when a lobe is added
 BEAM = 5  # combinations of lobes that are kept while lobes are added
+LARGEST = 100.0  # times the median: no weight of a loss at a measured value counts for more
 APART = 0.4  # of the sum of two values: starts that are nearer in all parameters are one
 
 
@@ -37,8 +38,7 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
     """
     coarse = problem.subset(SUBSET)
     if not coarse.quadratic:
-        # Amplitudes are solved for in chi-squared, whatever is fitted then.
-        coarse = coarse.as_least_squares()
+        coarse = _like_loss(coarse)
     few = _few(coarse)
     box = Box.of(problem)
     groups = _groups(problem)
@@ -56,6 +56,18 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
         best = np.argsort(chi2, kind="stable")[: max(RESCORED, 4 * n)]
         chi2, solved = scored(coarse, box, solved[best])
     return _distinct(chi2, solved, n)
+
+
+def _like_loss(problem: Problem) -> Problem:
+    """Least squares in place of another loss: amplitudes are solved for in chi-squared.
+
+    Its weights are those that the loss has at the measured values, so that it looks where the loss
+    does; a value that noise brings near 0 does not decide alone.
+    """
+    y = problem.samples.value
+    _, v = problem.law.linearised(y, y, problem.inverse_variance, problem.cos_theta_r)
+    v = np.minimum(v, LARGEST * float(np.median(v)))
+    return problem.with_weights(v).as_least_squares()
 
 
 def ordered(problem: Problem, p: FloatArray) -> FloatArray:

@@ -1,11 +1,12 @@
-"""What a fit makes small: chi-squared, two distances between transformed values, Student's t.
+"""What a fit makes small: chi-squared, distances between transformed values, Student's t.
 
 chi-squared, sum of w r^2 with r = y - f, is right where the noise is normal and the model true. The
 others are for other cases: `log` and `cube_root` measure residuals as the eye sees them, so that a
-bright lobe does not decide alone where no model is true, and `student_t` gives way to outliers.
+bright lobe does not decide alone where no model is true, `relative` compares logarithms, so that
+every decade of f counts alike, and `student_t` gives way to outliers.
 
-Their uncertainties are those of an M-estimator (Huber 1967): bread^-1 meat bread^-1, in which the
-scatter of the residuals themselves stands for the noise.
+No loss has a slope that is infinite, and none but chi-squared has one that is 0 where f is: a
+transformed value continues smoothly below a floor that is far below the data.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.geometry import FloatArray
 
 NU = 4.0  # degrees of freedom of Student's t
-MAD_TO_SD = 1.482602218505602  # of normal noise
+MOST_ZEROS = NU / (NU + 1)  # share of residuals that are 0 beyond which Student's t has no scale
+NO_RESIDUAL = 1e-12  # of the largest residual: one that is smaller is 0
+DARK = 1e-6  # of the largest value: f below has no cube root of its own
+FAR_BELOW = 1e-3  # of its value: f below has no logarithm of its own
 
 
 @dataclass(frozen=True)
@@ -67,23 +71,39 @@ class Loss:
         """
         return y - f, w
 
-    def bread(self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray) -> FloatArray:
+    def expected_curvature(
+        self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
+    ) -> FloatArray:
         """Half the second derivative of the loss by f, as it is expected at the minimum."""
         return self.linearised(y, f, w, cos_r)[1]
+
+    def shares(
+        self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
+    ) -> FloatArray | float:
+        """Factor by which the weight of each sample's residual falls as that grows."""
+        return 1.0
 
     def scale(self, r: FloatArray) -> float:
         """Size of the noise from weighted residuals."""
         return 1.0
 
+    def has_no_scale(self, r: FloatArray) -> bool:
+        """Whether the residuals do not tell the size of the noise that the loss needs."""
+        return False
+
 
 class _Transformed(Loss):
     """Least squares of t(y cos theta_r) - t(f cos theta_r)."""
 
-    def t(self, x: FloatArray) -> FloatArray:
+    def t(self, x: FloatArray, floor: FloatArray) -> FloatArray:
         raise NotImplementedError
 
-    def slope(self, x: FloatArray) -> FloatArray:
-        """dt/dx, 0 where it is not finite."""
+    def slope(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        """dt/dx, positive."""
+        raise NotImplementedError
+
+    def floor(self, x: FloatArray) -> FloatArray:
+        """Where the values x have their floors, which no fit moves."""
         raise NotImplementedError
 
     def check_weights(self, weights: Any, *, has_u: bool) -> Any:
@@ -96,18 +116,22 @@ class _Transformed(Loss):
         return "none"
 
     def total(self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray) -> float:
-        return float(np.sum(w * (self.t(y * cos_r) - self.t(f * cos_r)) ** 2))
+        x = y * cos_r
+        floor = self.floor(x)
+        return float(np.sum(w * (self.t(x, floor) - self.t(f * cos_r, floor)) ** 2))
 
     def linearised(
         self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        slope = self.slope(f * cos_r) * cos_r
-        safe = np.where(slope > 0, slope, 1.0)
-        r = np.where(slope > 0, (self.t(y * cos_r) - self.t(f * cos_r)) / safe, 0.0)
-        return r, w * slope**2
+        x = y * cos_r
+        floor = self.floor(x)
+        slope = self.slope(f * cos_r, floor) * cos_r
+        return (self.t(x, floor) - self.t(f * cos_r, floor)) / slope, w * slope**2
 
 
 class _Log(_Transformed):
+    """ln(1 + x), a straight line below the floor."""
+
     def check_values(self, y: FloatArray, cos_r: FloatArray) -> None:
         worst = float(np.min(y * cos_r))
         if worst <= -1:
@@ -117,20 +141,58 @@ class _Log(_Transformed):
                 value=worst,
             )
 
-    def t(self, x: FloatArray) -> FloatArray:
-        return np.log1p(x)
+    def floor(self, x: FloatArray) -> FloatArray:
+        return np.asarray(FAR_BELOW * min(1.0, 1 + float(np.min(x))) - 1)
 
-    def slope(self, x: FloatArray) -> FloatArray:
-        return 1 / (1 + x)
+    def t(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        above = np.maximum(x, floor)
+        return np.asarray(np.log1p(above) + (x - above) / (1 + floor))
+
+    def slope(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        return 1 / (1 + np.maximum(x, floor))
+
+
+class _Relative(_Transformed):
+    """ln x, a straight line below the floor."""
+
+    def check_values(self, y: FloatArray, cos_r: FloatArray) -> None:
+        bad = np.flatnonzero(~(y > 0))
+        if len(bad):
+            raise DataError(
+                f"{len(bad)} of {len(y)} values are not above 0 (the first is sample "
+                f"{bad[0] + 1}, {y[bad[0]]:.4g}): loss 'relative' compares logarithms. Use weights "
+                "relative, which follow the fitted value and take any reading; or remove these "
+                "samples, which makes dark places seem brighter.",
+                value=float(y[bad[0]]),
+            )
+
+    def floor(self, x: FloatArray) -> FloatArray:
+        return FAR_BELOW * x
+
+    def t(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        above = np.maximum(x, floor)
+        return np.asarray(np.log(above) + (x - above) / floor)
+
+    def slope(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        return 1 / np.maximum(x, floor)
 
 
 class _CubeRoot(_Transformed):
-    def t(self, x: FloatArray) -> FloatArray:
-        return np.cbrt(x)
+    """x^(1/3) with the sign of x; an odd cubic with the same value and slope below the floor."""
 
-    def slope(self, x: FloatArray) -> FloatArray:
-        root = np.cbrt(x) ** 2
-        return np.where(root > 0, 1 / (3 * np.where(root > 0, root, 1.0)), 0.0)
+    def floor(self, x: FloatArray) -> FloatArray:
+        return np.asarray(DARK * (float(np.max(np.abs(x))) or 1.0))
+
+    def t(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        inside = np.clip(x / floor, -1, 1)
+        near = np.cbrt(floor) * inside * (4 - inside**2) / 3
+        return np.where(np.abs(x) > floor, np.cbrt(x), near)
+
+    def slope(self, x: FloatArray, floor: FloatArray) -> FloatArray:
+        inside = np.clip(x / floor, -1, 1)
+        near = (4 - 3 * inside**2) / 3
+        far = np.cbrt(np.maximum(np.abs(x), floor) / floor) ** -2 / 3
+        return np.where(np.abs(x) > floor, far, near) * np.cbrt(floor) / floor
 
 
 class _StudentT(Loss):
@@ -143,13 +205,44 @@ class _StudentT(Loss):
         r = y - f
         return r, w * (NU + 1) / (NU + w * r * r)
 
-    def bread(self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray) -> FloatArray:
-        z2 = w * (y - f) ** 2
-        return w * (NU + 1) * (NU - z2) / (NU + z2) ** 2
+    def expected_curvature(
+        self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
+    ) -> FloatArray:
+        return w * (NU + 1) / (NU + 3)
+
+    def shares(
+        self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
+    ) -> FloatArray | float:
+        return (NU + 1) / (NU + w * (y - f) ** 2)
 
     def scale(self, r: FloatArray) -> float:
-        size = MAD_TO_SD * float(np.median(np.abs(r)))
-        return size if size > 0 else max(float(np.sqrt(np.mean(r * r))), 1e-300)
+        """Maximum-likelihood scale s: the mean of (nu + 1) x^2/(nu + x^2) is 1 for x = r/s.
+
+        It cannot collapse unless four residuals of five are 0, where their root mean square
+        stands for it. 0 where all are.
+        """
+        from scipy.optimize import brentq
+
+        largest = float(np.max(np.abs(r), initial=0.0))
+        if largest == 0:
+            return 0.0
+        x2 = (r / largest) ** 2
+        if self.has_no_scale(r):
+            return largest * float(np.sqrt(np.mean(x2)))
+
+        def excess(log_s: float) -> float:
+            z2 = x2 * np.exp(-2 * log_s)
+            return float(np.mean((NU + 1) * z2 / (NU + z2))) - 1
+
+        least = float(np.log(NO_RESIDUAL))
+        if excess(least) <= 0:
+            return largest * NO_RESIDUAL
+        return largest * float(np.exp(brentq(excess, least, 1.0, xtol=1e-12)))
+
+    def has_no_scale(self, r: FloatArray) -> bool:
+        size = np.abs(r)
+        none = size <= NO_RESIDUAL * float(np.max(size, initial=0.0))
+        return bool(np.mean(none) >= MOST_ZEROS and not none.all())
 
 
 CHI2 = Loss("chi2", "squares of weighted residuals")
@@ -159,6 +252,7 @@ LOSSES: dict[str, Loss] = {
         CHI2,
         _Log("log", "ln(1 + f cos theta_r)", likelihood=False),
         _CubeRoot("cube_root", "(f cos theta_r)^(1/3)", likelihood=False),
+        _Relative("relative", "ln f", likelihood=False),
         _StudentT("student_t", "Student's t of 4 degrees of freedom", scaled=True),
     )
 }

@@ -14,7 +14,7 @@ from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
 from gonio.samples import BRDFSamples, Cells, SharedTerm
 
-Weights = Literal["none", "cos", "coscos", "sd"]
+Weights = Literal["none", "cos", "coscos", "relative", "sd"]
 ProfiledDraw = tuple[str, int | None, float, float]  # see `Problem.profiled_draws`
 
 

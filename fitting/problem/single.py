@@ -37,9 +37,9 @@ class SingleProblem:
     model : Model
     parameters : tuple of Parameter
         Those of the model, perhaps with other bounds.
-    weights : {"none", "cos", "coscos", "sd"}
-        What each residual is multiplied by: 1, cos(theta_r), cos(theta_i) cos(theta_r), or one
-        over its standard uncertainty.
+    weights : {"none", "cos", "coscos", "relative", "sd"}
+        What each residual is multiplied by: 1, cos(theta_r), cos(theta_i) cos(theta_r), one over
+        the model's value, or one over its standard uncertainty.
     inverse_variance : ndarray, shape (N,)
         Squares of those factors.
     law : Loss
@@ -169,7 +169,7 @@ class SingleProblem:
 
     def reweighted(self, p: FloatArray | None) -> SingleProblem:
         f = None
-        if p is not None and (self.weights == "sd" or self.finds_scale):
+        if p is not None and (self.weights in ("sd", "relative") or self.finds_scale):
             f = self.values(p)
         inverse = weighting.inverse_variance(self.samples, self.weights, self.law, f)
         return replace(self, inverse_variance=inverse)

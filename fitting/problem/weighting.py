@@ -12,6 +12,9 @@ from gonio.fitting.problem.protocol import Weights
 from gonio.geometry import FloatArray
 from gonio.samples import BRDFSamples
 
+ROUNDING = 1e-15  # of the largest value: a residual that is rounding
+DARKEST = 1e-9  # of the largest value: below, f counts as this in relative weights
+
 
 def checked_weights(weights: Any, law: Loss, samples: BRDFSamples) -> Weights:
     """The weights, by default those that the loss takes for these samples.
@@ -30,7 +33,7 @@ def checked_weights(weights: Any, law: Loss, samples: BRDFSamples) -> Weights:
     if chosen == "sd" and samples.u_independent is None:
         raise ConfigurationError(
             "weights 'sd' need uncertainties and the samples have none (no u_brdf column); "
-            "use none, cos or coscos."
+            "use none, relative, cos or coscos."
         )
     return chosen
 
@@ -80,15 +83,37 @@ def inverse_variance(
         inverse = 1 / variance_about(samples, f, sharing=True)
     elif weights == "none":
         inverse = np.ones(len(samples))
+    elif weights == "relative":
+        inverse = relative_weights(_without_darkest(samples.value) if f is None else f)
     else:
         directions = samples.directions
         inverse = np.cos(directions.theta_r) ** 2 * np.ones(len(samples))
         if weights == "coscos":
             inverse = inverse * np.cos(directions.theta_i) ** 2
     if finds_scale(weights, law):
+        root = np.sqrt(inverse)
         residual = samples.value - (0.0 if f is None else f)
-        inverse = inverse / law.scale(residual * np.sqrt(inverse)) ** 2
+        # Residuals that are rounding have no size of their own.
+        least = ROUNDING * float(np.max(np.abs(samples.value * root))) or 1.0
+        inverse = inverse / max(law.scale(residual * root), least) ** 2
     return np.asarray(inverse)
+
+
+def _without_darkest(y: FloatArray) -> FloatArray:
+    """Sizes of readings, none below a tenth of their median: noise makes some of them small."""
+    size = np.abs(y)
+    return np.asarray(np.maximum(size, 0.1 * float(np.median(size))))
+
+
+def relative_weights(f: FloatArray) -> FloatArray:
+    """1/f^2, for noise that is a fixed part of the expectation f, (N,).
+
+    The fitted value takes the place of the reading, which would count for more wherever noise
+    makes it smaller.
+    """
+    size = np.abs(f)
+    least = max(DARKEST * float(np.max(size)), np.finfo(float).tiny ** 0.25)
+    return np.asarray(1 / np.maximum(size, least) ** 2)
 
 
 def finds_scale(weights: Weights, law: Loss) -> bool:
@@ -98,7 +123,9 @@ def finds_scale(weights: Weights, law: Loss) -> bool:
 
 def follow_model(samples: BRDFSamples, weights: Weights, law: Loss) -> bool:
     """Whether the weights depend on the model's values."""
-    return (weights == "sd" and samples.noise_slope is not None) or finds_scale(weights, law)
+    if weights == "relative" or finds_scale(weights, law):
+        return True
+    return weights == "sd" and samples.noise_slope is not None
 
 
 def weighted(columns: FloatArray, inverse_variance: FloatArray) -> FloatArray:

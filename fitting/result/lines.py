@@ -12,6 +12,7 @@ WEIGHTS = {
     "none": "equal",
     "cos": "cos theta_r",
     "coscos": "cos theta_i cos theta_r",
+    "relative": "1/fitted value",
 }
 
 

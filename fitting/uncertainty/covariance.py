@@ -14,6 +14,7 @@ from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import shared_change
 from gonio.fitting.uncertainty.allowance import Allowance
 from gonio.fitting.uncertainty.degrees_of_freedom import Spread, satterthwaite
+from gonio.fitting.uncertainty.loss_sandwich import by_loss
 from gonio.geometry import FloatArray
 
 
@@ -127,7 +128,7 @@ def evaluate(minimum: Minimum) -> Uncertainty:
     """
     problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     if not problem.quadratic:
-        return _sandwich(minimum)
+        return _of_loss(minimum)
     determined, inverse = inverse_curvature(optimum)
     shared = {}
     if problem.samples.shared:
@@ -143,28 +144,25 @@ def evaluate(minimum: Minimum) -> Uncertainty:
     return Uncertainty(determined, independent, noise_scale, shared, problem.profiled, dof)
 
 
-def _sandwich(minimum: Minimum) -> Uncertainty:
-    """Covariance where another loss than chi-squared was made small (Huber 1967).
-
-    The scatter of the residuals stands for the noise, sample by sample, whatever the weights say.
-    """
+def _of_loss(minimum: Minimum) -> Uncertainty:
+    """Covariance where another loss than chi-squared was made small."""
     problem, optimum = minimum.problem, minimum.optimum
-    p, law = optimum.p, problem.law
-    f, jac = problem.jacobian(p)
+    p = optimum.p
+    spread = by_loss(minimum)
+    f, jacobian = problem.jacobian(p)
     data = problem.samples.value, f, problem.inverse_variance, problem.cos_theta_r
-    bread = law.bread(*data)
-    r, weight = law.linearised(*data)
-    bent = (jac * bread[:, None]).T @ jac
-    determined, inverse = inverse_curvature(replace(optimum, curvature=bent))
-    score = jac * (weight * r)[:, None]
-    meat = score.T @ score * problem.n / max(problem.n - len(p), 1)
+    b = problem.law.expected_curvature(*data)
+    curvature = (jacobian * b[:, None]).T @ jacobian
+    determined, inverse = inverse_curvature(replace(optimum, curvature=curvature))
     # An error of the data moves the estimate as under least squares with these weights.
-    squared = problem.with_weights(bread).as_least_squares()
+    squared = problem.with_weights(b).as_least_squares()
     changes = [shared_change(problem, term, p, f) for term in problem.samples.shared]
     shared = _moves(squared, p, inverse, changes) if changes else {}
-    independent = where_determined(determined, inverse @ meat @ inverse)
-    dof = _dof(minimum)
-    return Uncertainty(determined, independent, minimum.noise_scale, shared, (), dof)
+    scale = minimum.noise_scale
+    return Uncertainty(
+        determined, spread.covariance, scale, shared, (), spread.dof,
+        likelihood=where_determined(determined, inverse * scale**2),
+    )  # fmt: skip
 
 
 def _dof(minimum: Minimum) -> FloatArray | None:

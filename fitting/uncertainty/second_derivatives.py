@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
+from gonio.models import Parameter
 
 STEP = 1e-4  # relative, over which a gradient is compared with itself
 LEAST = 1e-3  # size of a parameter that a step is a part of, at least
@@ -71,14 +72,18 @@ class SecondDerivatives:
                 yield Block(numbers[some], index, second * root[some][:, None, None])
 
 
+def beside(q: Parameter, value: float) -> tuple[float, float]:
+    """Values of a parameter below and above one of them, over which derivatives are compared."""
+    size = abs(value) if q.scale == "log" else max(abs(value), LEAST)
+    return max(value - STEP * size, q.lower), min(value + STEP * size, q.upper)
+
+
 def _of(problem: Problem, p: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
     """Second derivatives (n, K, K), 0 for parameters that are held."""
     found = np.zeros((problem.n, len(p), len(p)))
     for j in np.flatnonzero(free):
-        q = problem.parameters[j]
-        step = STEP * max(abs(float(p[j])), LEAST)
         ends = np.array([p, p])
-        ends[:, j] = max(p[j] - step, q.lower), min(p[j] + step, q.upper)
+        ends[:, j] = beside(problem.parameters[j], float(p[j]))
         below, above = (problem.jacobian(end)[1] for end in ends)
         found[:, :, j] = (above - below) / (ends[1, j] - ends[0, j])
     found[:, ~free, :] = 0.0

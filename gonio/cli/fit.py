@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # As `gonio.fitting.minimum.engines` and `losses` name them, which are slow to load.
 ENGINES = ("gauss_newton", "slsqp", "lbfgs", "mma", "bobyqa", "sbplx", "mlsl")
-LOSSES = ("chi2", "log", "cube_root", "student_t")
+LOSSES = ("chi2", "log", "cube_root", "relative", "student_t")
 _HINT = "Or fit them together with --share NAME,..., the parameters that they have in common."
 
 
@@ -57,8 +57,8 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
               help="Method that searches for the minimum; Gauss-Newton steps follow.")  # fmt: skip
 @click.option("--loss", type=click.Choice(LOSSES), default=LOSSES[0], show_default=True,
               help="Loss to minimise: squared residuals, squared differences of "
-              "ln(1 + f cos theta_r) or of (f cos theta_r)^(1/3), or Student's t, which is robust "
-              "against outliers.")  # fmt: skip
+              "ln(1 + f cos theta_r), of (f cos theta_r)^(1/3) or of ln f (relative), or Student's "
+              "t, which is robust against outliers.")  # fmt: skip
 @click.option(
     "--nuisance",
     default="none",

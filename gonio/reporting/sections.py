@@ -28,6 +28,7 @@ _WEIGHTS = {
     "none": "equal",
     "cos": "cos θr",
     "coscos": "cos θi cos θr",
+    "relative": "one over the fitted value",
 }
 
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+
 from gonio.fitting.minimum.record import MISFIT, Minimum
+from gonio.fitting.problem.losses import NO_RESIDUAL
 from gonio.fitting.uncertainty import covariance as uncertainty
 
 ONE_BY_ONE = 3  # warnings that parts of a joint fit have in common, listed one by one
@@ -34,12 +37,29 @@ def warnings_of(minimum: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
             "the model, or from effects that it leaves out, not from noise; the independent "
             f"uncertainties were multiplied by {errors.noise_scale:.3g}."
         )
+    warnings += _no_scale(minimum)
     if problem.samples.n_negative:
         warnings.append(
             f"{problem.samples.n_negative} of {problem.n} values are negative; they were kept as "
             "noise around zero."
         )
     return warnings
+
+
+def _no_scale(minimum: Minimum) -> list[str]:
+    """Where the residuals do not tell the size of the noise that the loss needs."""
+    problem = minimum.problem
+    if not problem.finds_scale:
+        return []
+    residual = problem.samples.value - problem.values(minimum.optimum.p)
+    if not problem.law.has_no_scale(residual * np.sqrt(problem.inverse_variance)):
+        return []
+    zeros = int(np.count_nonzero(np.abs(residual) <= NO_RESIDUAL * np.max(np.abs(residual))))
+    return [
+        f"{zeros} of {problem.n} residuals are exactly 0: loss {problem.law.name!r} finds the size "
+        "of the noise in residuals of which more than one in five is not; the root mean square of "
+        "all stands for it. Values that are no measurements should be left out."
+    ]
 
 
 def condensed(lines: list[str]) -> list[str]:

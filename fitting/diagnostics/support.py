@@ -151,7 +151,7 @@ def _least_squares(minimum: Minimum) -> Minimum:
     if problem.quadratic:
         return minimum
     data = problem.samples.value, problem.values(optimum.p), problem.inverse_variance
-    weights = problem.law.bread(*data, problem.cos_theta_r)
+    weights = problem.law.expected_curvature(*data, problem.cos_theta_r)
     squared = problem.with_weights(weights).as_least_squares()
     curvature = squared.normal_equations(optimum.p)[2]
     return minimum.at(squared, replace(optimum, curvature=curvature))

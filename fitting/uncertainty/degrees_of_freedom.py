@@ -61,8 +61,9 @@ def satterthwaite(variances: FloatArray, dof: FloatArray) -> float:
     some = variances > 0
     if not some.any():
         return float("nan")
-    part = float(np.sum(variances[some] ** 2 / dof[some]))
-    return float(np.sum(variances[some])) ** 2 / part if part > 0 else float("inf")
+    share = variances[some] / np.max(variances)
+    part = float(np.sum(share**2 / dof[some]))
+    return float(np.sum(share)) ** 2 / part if part > 0 else float("inf")
 
 
 def of_quadratic_form(trace: FloatArray, square: FloatArray) -> FloatArray:

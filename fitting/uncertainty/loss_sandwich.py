@@ -10,7 +10,6 @@ on samples drawn from the samples.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.fitting.minimum.curvature import marginal_root, where_determined
 from gonio.fitting.minimum.minimise import minimise
@@ -27,6 +26,7 @@ FLOOR = 0.02  # least curvature after a sample is left out, in units of that bef
 CURVED = 1.5  # ratio of standard uncertainties, with the whole curvature and without, that is large
 REFITS = 100
 LARGEST = 20_000  # samples of a fit that is repeated
+EACH = 5  # samples for each parameter that are drawn from, at least
 ROUNDS = 8  # of new weights in a fit that is repeated
 SETTLED = 1e-2  # relative change of the weights that ends them
 SEED = 0  # of the samples that are drawn: one fit, one answer
@@ -80,7 +80,7 @@ def by_loss(minimum: Minimum) -> Spread:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.sqrt(np.diag(covariance) / np.diag(plain))[informed.determined]
     curved = bool(np.any(~(np.maximum(ratio, 1 / ratio) <= CURVED))) if len(ratio) else False
-    if curved and minimum.problem.n <= LARGEST:
+    if curved and EACH * len(minimum.optimum.p) <= minimum.problem.n <= LARGEST:
         covariance = _refitted(minimum)
     return Spread(where_determined(informed.determined, covariance), dof)
 
@@ -89,14 +89,15 @@ def _newton(minimum: Minimum, informed: Informed) -> FloatArray:
     """sum d d^T, d the Newton step of the parameters when a sample is left out."""
     problem, n_p = minimum.problem, len(minimum.optimum.p)
     back = informed.whole
+    if back.shape[1] == 0:
+        return np.zeros((n_p, n_p))
     if problem.finds_scale:
         # About 1 is the expected curvature of ln(scale) for each sample.
         own = np.zeros((n_p + 1, back.shape[1] + 1))
         own[:n_p, :-1], own[-1, -1] = back, 1 / np.sqrt(problem.n)
         back = own
     scores = _scores(problem, minimum.optimum.p) @ back
-    curvature = _curvatures(minimum) if back.shape[1] else np.zeros((problem.n, 0, 0))
-    bent = np.einsum("pr,npq,qs->nrs", back, curvature, back, optimize=True)
+    bent = np.einsum("pr,npq,qs->nrs", back, _curvatures(minimum), back, optimize=True)
     values, vectors = np.linalg.eigh(bent.sum(axis=0))
     root = vectors / np.sqrt(np.maximum(np.abs(values), FLOOR**2))
     rest = root.T @ bent.sum(axis=0) @ root - np.einsum(

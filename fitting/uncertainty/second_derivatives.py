@@ -74,7 +74,8 @@ class SecondDerivatives:
 
 def beside(q: Parameter, value: float) -> tuple[float, float]:
     """Values of a parameter below and above one of them, over which derivatives are compared."""
-    size = abs(value) if q.scale == "log" else max(abs(value), LEAST)
+    by_ratio = q.scale == "log" or (q.linear and value != 0)
+    size = abs(value) if by_ratio else max(abs(value), LEAST)
     return max(value - STEP * size, q.lower), min(value + STEP * size, q.upper)
 
 

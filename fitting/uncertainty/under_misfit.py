@@ -24,6 +24,7 @@ from gonio.fitting.uncertainty.degrees_of_freedom import Spread
 from gonio.fitting.uncertainty.incidence_groups import FEWEST, incidence_groups
 from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.larger_of import larger_of
+from gonio.fitting.uncertainty.loss_sandwich import informed_by_loss
 from gonio.fitting.uncertainty.sample_jackknife import by_samples
 from gonio.fitting.uncertainty.second_derivatives import SecondDerivatives
 
@@ -50,16 +51,18 @@ def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> 
     samples alone. In a joint fit they are those of the parts in which there is structure. The
     variance is never below that of the stated noise.
 
+    The uncertainties of another loss than chi-squared leave out each sample in any case.
+
     Noise of unknown size that follows f, without structure: the samples alone. The scatter of all
     samples together would be that of the brightest.
     """
     problem = minimum.problem
-    if not problem.quadratic or test is None or not errors.determined.any():
+    if test is None or not errors.determined.any():
         return errors
     group = incidence_groups(problem)
     if test.p < alarm(int(group.max()) + 1):
         return _of_misfit(minimum, errors, test, group)
-    if problem.weights == "sd" or problem.profiled:
+    if problem.weights == "sd" or problem.profiled or not problem.quadratic:
         return errors
     informed = Informed.of(minimum)
     level = np.sqrt(problem.inverse_variance) * problem.values(minimum.optimum.p)
@@ -78,9 +81,13 @@ def _of_misfit(
     minimum: Minimum, errors: Uncertainty, test: MisfitTest, group: NDArray[np.int64]
 ) -> Uncertainty:
     problem = minimum.problem
-    informed = Informed.of(minimum)
     wrong = _with_structure(problem, test)
-    spread = by_samples(informed, SecondDerivatives(minimum), wrong)
+    if problem.quadratic:
+        informed = Informed.of(minimum)
+        spread = by_samples(informed, SecondDerivatives(minimum), wrong)
+    else:
+        assert errors.dof is not None
+        informed, spread = informed_by_loss(minimum), Spread(errors.independent, errors.dof)
     n_groups = len(np.unique(group[wrong]))
     lone: tuple[str, ...] = ()
     if n_groups >= FEWEST:
@@ -92,7 +99,7 @@ def _of_misfit(
         spread = larger_of(spread, Spread.known(errors.independent))
     if not wrong.all():
         spread = spread + Spread.known(informed.of_noise(~wrong) * errors.noise_scale**2)
-    if problem.weights == "sd":
+    if problem.weights == "sd" and problem.quadratic:
         spread = larger_of(Spread.known(informed.of_noise()), spread)
     basis: Literal["samples", "samples and incidences"] = "samples"
     if n_groups >= FEWEST:

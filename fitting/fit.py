@@ -231,14 +231,14 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
         What the model says of every fit, "" for nothing.
     """
     problem = minimum.problem
-    test = misfit_test(minimum) if problem.quadratic else None
+    squares = minimum.as_least_squares()  # its residuals are those that the loss sees
+    test = misfit_test(squares)
     errors, undetected = honest_uncertainties(minimum, test)
     estimates, bound_warnings = estimated(minimum, errors, test)
     support = {} if noiseless(minimum) else supports(minimum, estimates)
     for name, carried in support.items():
         estimates[name] = replace(estimates[name], established=not carried.reasons)
-    # What residuals should look like is known for chi-squared alone.
-    diagnostics, residual_warnings = diagnose(minimum) if problem.quadratic else ({}, [])
+    diagnostics, residual_warnings = diagnose(squares)
     shared_errors = nuisance_estimates(minimum)
     warnings = warnings_of(minimum, errors) + minimum.warnings
     warnings += condensed(undetected + bound_warnings)

@@ -487,7 +487,8 @@ def test_uncertainties_in_some_channels_only_are_refused():
     one, two = flat([0.1]), flat([0.1])
     two = BRDFSamples(two.directions, two.value)
     with pytest.raises(ConfigurationError, match=r"^b has no uncertainties and a has; give u_brdf "
-                       r"for all, or name the weights: none, relative, cos or coscos\.$"):  # fmt: skip
+                       r"for all, or name the weights: none, relative, cos or "
+                       r"coscos\.$"):  # fmt: skip
         gonio.fit({"a": one, "b": two}, model="lambert", share=("rho",))
     assert gonio.fit({"a": one, "b": two}, model="lambert", share=("rho",), weights="cos").ok
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -62,7 +62,7 @@ def supports(minimum: Minimum, estimates: Mapping[str, Estimate]) -> dict[str, S
     estimates : mapping of str to Estimate
         Of the unknowns, radians for angles.
     """
-    minimum = _least_squares(minimum)
+    minimum = minimum.as_least_squares()
     problem = minimum.problem
     wanted = [j for j, q in enumerate(problem.parameters) if estimates[q.name].stderr is not None]
     if not wanted or len(problem.parameters) > MOST:
@@ -143,15 +143,3 @@ def _place(problem: Problem, k: int) -> str:
         for a in (d.theta_i, d.phi_i, d.theta_r, d.phi_r)
     )
     return f"theta_i {theta_i:.3g}, theta_r {theta_r:.3g}, phi {(phi_r - phi_i) % 360:.4g} deg"
-
-
-def _least_squares(minimum: Minimum) -> Minimum:
-    """The minimum of another loss than chi-squared as one of weighted least squares."""
-    problem, optimum = minimum.problem, minimum.optimum
-    if problem.quadratic:
-        return minimum
-    data = problem.samples.value, problem.values(optimum.p), problem.inverse_variance
-    weights = problem.law.expected_curvature(*data, problem.cos_theta_r)
-    squared = problem.with_weights(weights).as_least_squares()
-    curvature = squared.normal_equations(optimum.p)[2]
-    return minimum.at(squared, replace(optimum, curvature=curvature))

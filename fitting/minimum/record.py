@@ -70,6 +70,18 @@ class Minimum:
         """The same noise about a minimum of another problem over these samples, or some of them."""
         return replace(self, problem=problem, optimum=optimum)
 
+    def as_least_squares(self) -> Minimum:
+        """The minimum of weighted least squares whose residuals are those that the loss sees.
+
+        The same where the loss is chi-squared.
+        """
+        if self.problem.quadratic:
+            return self
+        problem = self.problem.as_least_squares(self.optimum.p)
+        chi2, gradient, curvature = problem.normal_equations(self.optimum.p)
+        optimum = replace(self.optimum, chi2=chi2, gradient=gradient, curvature=curvature)
+        return Minimum.of(problem, optimum, warnings=self.warnings, faults=self.faults)
+
     @property
     def status(self) -> Literal["converged", "not_converged"]:
         """Whether the optimum passed its checks."""

@@ -210,7 +210,7 @@ class JointProblem:
         parts = tuple(part.with_weights(inverse_variance[where]) for part, where in pairs)
         return replace(self, parts=parts)
 
-    def as_least_squares(self) -> JointProblem:
+    def as_least_squares(self, p: FloatArray | None = None) -> JointProblem:
         return replace(self, parts=tuple(part.as_least_squares() for part in self.parts))
 
     def reweighted(self, p: FloatArray | None) -> JointProblem:

@@ -21,6 +21,7 @@ from gonio.geometry import FloatArray
 
 NU = 4.0  # degrees of freedom of Student's t
 MOST_ZEROS = NU / (NU + 1)  # share of residuals that are 0 beyond which Student's t has no scale
+NORMAL_SCORE = 0.8171832  # root mean square of Student's score of standard normal residuals
 NO_RESIDUAL = 1e-12  # of the largest residual: one that is smaller is 0
 DARK = 1e-6  # of the largest value: f below has no cube root of its own
 FAR_BELOW = 1e-3  # of its value: f below has no logarithm of its own
@@ -77,11 +78,15 @@ class Loss:
         """Half the second derivative of the loss by f, as it is expected at the minimum."""
         return self.linearised(y, f, w, cos_r)[1]
 
-    def shares(
+    def pseudo_residuals(
         self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
-    ) -> FloatArray | float:
-        """Factor by which the weight of each sample's residual falls as that grows."""
-        return 1.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Residuals as the loss sees them, in the unit of f, and their weights.
+
+        Least squares with them have their minimum where the loss has its own, and what is known of
+        residuals of least squares holds for them.
+        """
+        return self.linearised(y, f, w, cos_r)
 
     def scale(self, r: FloatArray) -> float:
         """Size of the noise from weighted residuals."""
@@ -210,10 +215,15 @@ class _StudentT(Loss):
     ) -> FloatArray:
         return w * (NU + 1) / (NU + 3)
 
-    def shares(
+    def pseudo_residuals(
         self, y: FloatArray, f: FloatArray, w: FloatArray, cos_r: FloatArray
-    ) -> FloatArray | float:
-        return (NU + 1) / (NU + w * (y - f) ** 2)
+    ) -> tuple[FloatArray, FloatArray]:
+        """The score, with the variance of the residual where the noise is normal.
+
+        It is the residual near 0 and falls for outliers. Huber 1981, Robust Statistics, sec. 7.6.
+        """
+        r, v = self.linearised(y, f, w, cos_r)
+        return v / w * r / NORMAL_SCORE, w
 
     def scale(self, r: FloatArray) -> float:
         """Maximum-likelihood scale s: the mean of (nu + 1) x^2/(nu + x^2) is 1 for x = r/s.

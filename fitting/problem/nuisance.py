@@ -196,7 +196,7 @@ class NuisanceProblem:
     def with_weights(self, inverse_variance: FloatArray) -> NuisanceProblem:
         return replace(self, moved=self.moved.with_weights(inverse_variance))
 
-    def as_least_squares(self) -> NuisanceProblem:
+    def as_least_squares(self, p: FloatArray | None = None) -> NuisanceProblem:
         return replace(self, base=self.base.as_least_squares(), moved=self.moved.as_least_squares())
 
     def with_directions(

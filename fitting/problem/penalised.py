@@ -126,8 +126,8 @@ class PenalisedProblem:
     def with_weights(self, inverse_variance: FloatArray) -> PenalisedProblem:
         return replace(self, data=self.data.with_weights(inverse_variance))
 
-    def as_least_squares(self) -> PenalisedProblem:
-        return replace(self, data=self.data.as_least_squares())
+    def as_least_squares(self, p: FloatArray | None = None) -> PenalisedProblem:
+        return replace(self, data=self.data.as_least_squares(p))
 
     def reweighted(self, p: FloatArray | None) -> PenalisedProblem:
         return replace(self, data=self.data.reweighted(p))

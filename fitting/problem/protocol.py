@@ -183,8 +183,12 @@ class Problem(Protocol):
     def with_weights(self, inverse_variance: FloatArray) -> Problem:
         """The problem with other squared factors on the residuals."""
 
-    def as_least_squares(self) -> Problem:
-        """The problem with chi-squared as its loss."""
+    def as_least_squares(self, p: FloatArray | None = None) -> Problem:
+        """The problem with chi-squared as its loss.
+
+        With the minimum p of another loss: values and weights are such that its residuals are those
+        that the loss sees, and that its minimum is p (`Loss.pseudo_residuals`).
+        """
 
     def reweighted(self, p: FloatArray | None) -> Problem:
         """The problem with weights, and the scale of its loss, at the model's values for p.

@@ -160,8 +160,9 @@ class ReducedProblem:
     def with_weights(self, inverse_variance: FloatArray) -> ReducedProblem:
         return replace(self, whole=self.whole.with_weights(inverse_variance))
 
-    def as_least_squares(self) -> ReducedProblem:
-        return replace(self, whole=self.whole.as_least_squares())
+    def as_least_squares(self, p: FloatArray | None = None) -> ReducedProblem:
+        x = None if p is None else self.kernel.expanded(p)
+        return replace(self, whole=self.whole.as_least_squares(x))
 
     def reweighted(self, p: FloatArray | None) -> ReducedProblem:
         x = None if p is None else self.kernel.expanded(p)

@@ -164,8 +164,15 @@ class SingleProblem:
     def with_weights(self, inverse_variance: FloatArray) -> SingleProblem:
         return replace(self, inverse_variance=inverse_variance)
 
-    def as_least_squares(self) -> SingleProblem:
-        return replace(self, law=CHI2)
+    def as_least_squares(self, p: FloatArray | None = None) -> SingleProblem:
+        if p is None or self.quadratic:
+            return replace(self, law=CHI2)
+        f = self.values(p)
+        residual, weight = self.law.pseudo_residuals(
+            self.samples.value, f, self.inverse_variance, self.cos_theta_r
+        )
+        view = self.view.with_values(f + residual)
+        return replace(self, law=CHI2, view=view, inverse_variance=weight)
 
     def reweighted(self, p: FloatArray | None) -> SingleProblem:
         f = None

@@ -72,6 +72,10 @@ class ViewedSamples:
         """Values of the samples, read-only."""
         return read_only(self.samples.value)
 
+    def with_values(self, value: FloatArray) -> ViewedSamples:
+        """The samples with other values."""
+        return replace(self, samples=replace(self.samples, value=value))
+
     def moved(self, shift: FloatArray | None, turn: float | FloatArray) -> ViewedSamples:
         """The samples with their directions elsewhere, as `Problem.with_directions` has it."""
         cells, w_i, w_r = self.cells, self.w_i, self.cells.w_r

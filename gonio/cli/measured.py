@@ -23,8 +23,8 @@ _OPTIONS = (
         "--weights",
         type=click.Choice(list(WEIGHTS)),
         help="Weight of each residual: one over its standard uncertainty (sd, the default where "
-        "uncertainties are stated), 1 (none), one over the fitted value (relative), cos theta_r, or "
-        "cos theta_i cos theta_r.",
+        "uncertainties are stated), 1 (none), one over the fitted value (relative), cos theta_r, "
+        "or cos theta_i cos theta_r.",
     ),
     click.option(
         "--select",

@@ -120,7 +120,7 @@ def _slope(
     of_group = np.array(
         [_median((y / c)[group == g], np.abs(c)[group == g]) for g in range(int(group.max()) + 1)]
     )
-    weight = np.bincount(group, weights=np.abs(c))
+    weight: FloatArray = np.bincount(group, weights=np.abs(c)).astype(np.float64)
     if len(of_group) > 2:
         off = 1.4826 * _median(np.abs(of_group - power), weight)
         between = 1.2533 * off * np.sqrt(np.sum(weight**2)) / np.sum(weight)

@@ -191,7 +191,7 @@ def measured(path: Path, lines: Lines, column: str, cells: Sequence[str]) -> Flo
         return numbers(path, lines, column, cells)
     values = np.full(len(cells), np.nan)
     keep = np.flatnonzero(~missing)
-    values[keep] = numbers(path, lines[keep], column, [cells[k] for k in keep])
+    values[keep] = numbers(path, lines[keep], column, [cells[k] for k in keep.tolist()])
     return values
 
 

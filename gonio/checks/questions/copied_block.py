@@ -34,17 +34,18 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     # Where most blocks agree, the values do not depend on the incidence: a formula without noise.
     if not copies or (compared > 1 and len(copies) > compared / 2):
         return
-    a, b = (blocks[k] for k in copies[0])
-    first, second = (float(np.degrees(evidence.theta_i[block[0]])) for block in (a, b))
+    one, other = (blocks[k] for k in copies[0])
+    first, second = (float(np.degrees(evidence.theta_i[block[0]])) for block in (one, other))
+    both = np.concatenate([one, other])
     more = f", and {len(copies) - 1} more such pairs" if len(copies) > 1 else ""
     yield Finding(
         "copied_block",
         "warning",
-        f"the {min(len(a), len(b))} readings at theta_i {first:.5g} and {second:.5g} deg are the "
-        f"same to all digits ({evidence.where(a)}; {evidence.where(b)}){more}: one block was "
-        "copied over the other. Remove the wrong one.",
-        tuple(np.concatenate([a, b]).tolist()),
-        evidence.lines(np.concatenate([a, b])),
+        f"the {min(len(one), len(other))} readings at theta_i {first:.5g} and {second:.5g} deg are "
+        f"the same to all digits ({evidence.where(one)}; {evidence.where(other)}){more}: one block "
+        "was copied over the other. Remove the wrong one.",
+        tuple(both.tolist()),
+        evidence.lines(both),
     )
 
 

@@ -84,7 +84,8 @@ class Evidence:
         nearest = np.atleast_2d(cKDTree(points).query(points, k=k)[1]).reshape(self.n, k)
         own = nearest == np.arange(self.n)[:, None]
         own[~own.any(axis=1), -1] = True
-        return nearest[~own].reshape(self.n, k - 1).astype(np.int64)
+        others: NDArray[np.int64] = nearest[~own].reshape(self.n, k - 1).astype(np.int64)
+        return others
 
     @cached_property
     def from_mirror(self) -> FloatArray:

@@ -85,7 +85,8 @@ def _stands_out(evidence: Evidence, scan: NDArray[np.int64]) -> NDArray[np.bool_
     steep = np.degrees(np.maximum(evidence.theta_i[own], evidence.theta_r[own])) < GRAZING_DEG
     if evidence.u is not None:
         stands &= middle - around.max(axis=0) > SIGMAS * evidence.u[own]
-    return stands & away & steep
+    stands &= away & steep
+    return stands
 
 
 def _times(evidence: Evidence, scans: list[NDArray[np.int64]], k: int) -> float:

@@ -17,6 +17,7 @@ from gonio.errors import DataError
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.single import SingleProblem
+from gonio.fitting.residual_tests.misfit import misfit_test
 from gonio.geometry import Directions
 from gonio.models.base import Model
 from gonio.samples import BRDFSamples
@@ -324,3 +325,18 @@ def test_least_squares_of_what_a_loss_sees_have_its_minimum(loss):
     _, g, h = squares.problem.normal_equations(minimum.optimum.p)
     sd = np.sqrt(squares.chi2 / squares.dof / np.diag(h))
     assert np.all(np.abs(np.linalg.solve(h, g)) < 1e-2 * sd)
+
+
+@pytest.mark.parametrize("options", [{"loss": "relative"}, {"weights": "relative"}], ids=str)
+def test_noise_that_is_a_part_of_f_is_no_structure_over_six_decades(options):
+    """The scatter by groups of f would let the few samples at the peak decide."""
+    directions = about_the_mirror()
+    f = models.get("abg")(directions, A=2e-3, B=5e-7, g=2.0)
+    structured = 0
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        y = f * (1 + 0.05 * rng.standard_normal(len(f)))
+        minimum = find_minimum(BRDFSamples(directions, y), models.get("abg"), **options)
+        test = misfit_test(minimum.as_least_squares())
+        structured += test.structured
+    assert structured <= 1

@@ -44,12 +44,15 @@ class Loss:
         Whether the loss is minus twice the logarithm of a likelihood.
     scaled : bool
         Whether it needs the size of the noise, not the weights alone.
+    relative : bool
+        Whether its residuals are equally noisy where the noise is a fixed part of f.
     """
 
     name: str
     meaning: str
     likelihood: bool = True
     scaled: bool = False
+    relative: bool = False
 
     def check_weights(self, weights: Any, *, has_u: bool) -> Any:
         """The weights, "sd" by default where the samples have uncertainties."""
@@ -262,7 +265,7 @@ LOSSES: dict[str, Loss] = {
         CHI2,
         _Log("log", "ln(1 + f cos theta_r)", likelihood=False),
         _CubeRoot("cube_root", "(f cos theta_r)^(1/3)", likelihood=False),
-        _Relative("relative", "ln f", likelihood=False),
+        _Relative("relative", "ln f", likelihood=False, relative=True),
         _StudentT("student_t", "Student's t of 4 degrees of freedom", scaled=True),
     )
 }

@@ -172,7 +172,8 @@ class SingleProblem:
             self.samples.value, f, self.inverse_variance, self.cos_theta_r
         )
         view = self.view.with_values(f + residual)
-        return replace(self, law=CHI2, view=view, inverse_variance=weight)
+        weights: Weights = "relative" if self.law.relative else self.weights
+        return replace(self, law=CHI2, view=view, weights=weights, inverse_variance=weight)
 
     def reweighted(self, p: FloatArray | None) -> SingleProblem:
         f = None

@@ -136,6 +136,8 @@ def _noise(
     """One over the noise: as stated, or sd^2 = a + b f^2 from the scatter, by part."""
     if problem.weights == "sd":
         return np.sqrt(problem.inverse_variance), "stated"
+    if problem.weights == "relative":
+        return np.sqrt(problem.inverse_variance), "from the residuals"
     if problem.samples.u_independent is not None:
         return 1 / np.sqrt(problem.variance(f, sharing=True)), "stated"
     root = np.empty(problem.n)

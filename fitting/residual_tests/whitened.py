@@ -55,7 +55,7 @@ class Whitened:
         if not np.max(np.abs(residual)) > ROUNDING:
             return None
         root = np.sqrt(problem.inverse_variance) * unit
-        if problem.weights != "sd":
+        if problem.weights not in ("sd", "relative"):
             root = scatter_weights(f, residual)
         parts = hstack([csr_array(base.jacobian), base.shared]) / unit
         columns = csr_array(diags_array(root) @ csr_array(parts))

@@ -9,6 +9,8 @@ on samples drawn from the samples.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gonio.fitting.minimum.curvature import marginal_root, where_determined
@@ -25,9 +27,11 @@ from gonio.geometry import FloatArray
 FLOOR = 0.02  # least curvature after a sample is left out, in units of that before
 CURVED = 1.5  # ratio of standard uncertainties, with the whole curvature and without, that is large
 REFITS = 100
+FEWEST = 20  # that are made in any case,
+PASSES = 20_000  # and over the data after which no more are
 LARGEST = 20_000  # samples of a fit that is repeated
 EACH = 5  # samples for each parameter that are drawn from, at least
-ROUNDS = 8  # of new weights in a fit that is repeated
+ROUNDS = 4  # of new weights in a fit that is repeated
 SETTLED = 1e-2  # relative change of the weights that ends them
 SEED = 0  # of the samples that are drawn: one fit, one answer
 
@@ -66,7 +70,8 @@ def by_loss(minimum: Minimum) -> Spread:
     the residuals is an unknown like the others, with its own score.
 
     Where a standard uncertainty differs by more than 1.5 from that with B J J^T alone, the fit is
-    repeated on 100 sets of samples drawn with replacement, each from the minimum on.
+    repeated on 100 sets of samples drawn with replacement, each from the minimum on; on fewer, at
+    least 20, where these take many passes over the data.
 
     References
     ----------
@@ -145,7 +150,9 @@ def _settled(problem: Problem, optimum: Optimum) -> Optimum:
     for _ in range(ROUNDS if problem.weights_follow_model else 0):
         before = problem.inverse_variance
         problem = problem.reweighted(optimum.p)
+        n = optimum.evaluations
         optimum = minimise(problem, optimum.p, search=False)
+        optimum = replace(optimum, evaluations=n + optimum.evaluations)
         if np.all(np.abs(problem.inverse_variance - before) <= SETTLED * before):
             break
     return optimum
@@ -154,9 +161,11 @@ def _settled(problem: Problem, optimum: Optimum) -> Optimum:
 def _refitted(minimum: Minimum) -> FloatArray:
     """Covariance of fits to samples drawn with replacement."""
     problem, rng = minimum.problem, np.random.default_rng(SEED)
-    points = []
-    for _ in range(REFITS):
+    points: list[FloatArray] = []
+    passes = 0
+    while len(points) < (REFITS if passes < PASSES else FEWEST):
         drawn = problem.at(np.sort(rng.integers(0, problem.n, problem.n)))
-        optimum = minimise(drawn, minimum.optimum.p, search=False)
-        points.append(_settled(drawn, optimum).p)
+        optimum = _settled(drawn, minimise(drawn, minimum.optimum.p, search=False))
+        passes += optimum.evaluations
+        points.append(optimum.p)
     return np.atleast_2d(np.cov(np.array(points), rowvar=False))

@@ -116,6 +116,7 @@ def profiles(inputs: Inputs) -> Chart | None:
             samples,
             model,
             fit.weights,  # type: ignore[arg-type]
+            loss=fit.loss,
         )
     except GonioError:
         return None

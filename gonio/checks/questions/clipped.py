@@ -24,10 +24,11 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     for end, inner, code in ((0, slice(1, None), "floor"), (-1, slice(None, -1), "ceiling")):
         limit, count = float(values[end]), int(counts[end])
         others = int(counts[inner].max())
-        index = np.flatnonzero(evidence.value == limit)
-        classes = len(np.unique(evidence.geometry_class[index]))
         least = max(CLASSES, SHARE * evidence.n) if code == "floor" else CLASSES
-        if limit <= 0 or count < least or classes < CLASSES or count < AGAINST_OTHERS * others:
+        if limit <= 0 or count < least or count < AGAINST_OTHERS * others:
+            continue
+        index = np.flatnonzero(evidence.value == limit)
+        if len(np.unique(evidence.geometry_class[index])) < CLASSES:
             continue
         # A smooth formula without noise repeats its diffuse level, to all digits that are printed.
         low = limit < LOW * values[-1]

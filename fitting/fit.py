@@ -27,7 +27,7 @@ from gonio.fitting.problem.losses import CHI2, Loss
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
-from gonio.fitting.residual_tests.misfit import misfit_test
+from gonio.fitting.residual_tests.verdict import misfit_beyond_shared
 from gonio.fitting.result import FitResult, PosteriorSummary, plain
 from gonio.fitting.screening import screened
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
@@ -38,6 +38,7 @@ from gonio.fitting.warnings import condensed, warnings_of
 from gonio.models import Model, source_of
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
+from gonio.samples.stated_errors import with_shared_errors
 
 
 def fit(
@@ -59,6 +60,8 @@ def fit(
     seed: int = 0,
     threads: int | None = None,
     cuts: Mapping[str, Any] | None = None,
+    u_scale: float | None = None,
+    u_angle: float | None = None,
     progress: Progress | None = None,
 ) -> FitResult:
     """Fit a model to BRDF samples.
@@ -112,6 +115,9 @@ def fit(
         The result does not depend on it.
     cuts : mapping, optional
         Selections made before, to be stated in the result.
+    u_scale, u_angle : float, optional
+        Standard uncertainties, a fraction and radians, of one factor on all values and of the
+        alignment, which all samples share (`gonio.samples.stated_errors.with_shared_errors`).
     progress : callable, optional
         Called with (steps done, steps in all) while the posterior is sampled.
 
@@ -177,7 +183,8 @@ def fit(
     if share is None:
         options |= {"engine": searched_by, "loss": loss}
     screening = screened(samples)
-    minimum = _minimum(screening.samples, chosen, share, **options)
+    stated = _with_shared_errors(screening.samples, u_scale=u_scale, u_angle=u_angle)
+    minimum = _minimum(stated, chosen, share, **options)
     minimum = profiled(minimum, profiled_terms(minimum.problem.samples, nuisance))
     chain = None
     if posterior:
@@ -232,13 +239,13 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     """
     problem = minimum.problem
     squares = minimum.as_least_squares()  # its residuals are those that the loss sees
-    test = misfit_test(squares)
+    test = misfit_beyond_shared(squares)
     errors, undetected = honest_uncertainties(minimum, test)
     estimates, bound_warnings = estimated(minimum, errors, test)
     support = {} if noiseless(minimum) else supports(minimum, estimates)
     for name, carried in support.items():
         estimates[name] = replace(estimates[name], established=not carried.reasons)
-    diagnostics, residual_warnings = diagnose(squares)
+    verdict, diagnostics, residual_warnings = diagnose(squares)
     shared_errors = nuisance_estimates(minimum)
     warnings = warnings_of(minimum, errors) + minimum.warnings
     warnings += condensed(undetected + bound_warnings)
@@ -257,12 +264,14 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
         "covariance": None
         if noiseless(minimum)
         else all_covariances(problem.reported, covariance(errors)),
+        "verdict": verdict,
         "posterior": summary,
         "nuisance": shared_errors,
         "warnings": tuple(warnings + ([note] if note else [])),
         "diagnostics": {
             "evaluations": minimum.optimum.evaluations,
             "history": list(problem.samples.history),
+            "noise_laws": [law and law.to_dict() for law in problem.noise_laws],
             **diagnostics,
             "allowance": errors.allowance.to_dict() if errors.allowance else None,
             "support": plain(support),
@@ -302,6 +311,17 @@ def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -
             f"{law.name!r} and {engine!r}; change these, or leave share and nuisance out.",
             value=(law.name, engine),
         )
+
+
+def _with_shared_errors(samples: Any, **sizes: float | None) -> Any:
+    """The samples of each input with the shared errors that their owner states."""
+    if isinstance(samples, Mapping):
+        return {name: _with_shared_errors(own, **sizes) for name, own in samples.items()}
+    if isinstance(samples, BRDFSamples):
+        return with_shared_errors(samples, **sizes)
+    if isinstance(samples, Sequence) and not isinstance(samples, str):
+        return [_with_shared_errors(own, **sizes) for own in samples]
+    return samples
 
 
 def _minimum(

@@ -8,6 +8,7 @@ import numpy as np
 
 from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.problem.losses import NO_RESIDUAL
+from gonio.fitting.problem.noise_law import laws_in_words
 from gonio.fitting.uncertainty import covariance as uncertainty
 
 ONE_BY_ONE = 3  # warnings that parts of a joint fit have in common, listed one by one
@@ -32,12 +33,12 @@ def warnings_of(minimum: Minimum, errors: uncertainty.Uncertainty) -> list[str]:
     ]
     stated_noise = problem.weights == "sd" and problem.quadratic and not minimum.parts
     if stated_noise and minimum.chi2 / minimum.dof > MISFIT:
-        warnings.append(
-            f"chi2/dof is {minimum.chi2 / minimum.dof:.3g}: the residuals come from "
-            "the model, or from effects that it leaves out, not from noise; the independent "
-            f"uncertainties were multiplied by {errors.noise_scale:.3g}."
-        )
+        size = f"the residuals are {errors.noise_scale:.3g} times as large as the stated "
+        # Where the uncertainties allow for misfit they are no multiple of the noise.
+        multiplied = "noise; the independent uncertainties were multiplied by that factor."
+        warnings.append(f"{size}independent {'noise.' if errors.allowance else multiplied}")
     warnings += _no_scale(minimum)
+    warnings += laws_in_words(problem.noise_laws)
     if problem.samples.n_negative:
         warnings.append(
             f"{problem.samples.n_negative} of {problem.n} values are negative; they were kept as "

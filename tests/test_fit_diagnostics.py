@@ -11,11 +11,11 @@ import gonio
 from gonio import models
 from gonio.fitting.diagnostics import identifiability as identify
 from gonio.fitting.diagnostics import next_measurement
-from gonio.fitting.diagnostics import residual_report as residuals
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.single import SingleProblem
+from gonio.fitting.residual_tests import report as residuals
 from gonio.fitting.residual_tests.groups import RINGS
 from gonio.fitting.uncertainty.information import information
 from gonio.fitting.uncertainty.profile_likelihood import profile
@@ -188,7 +188,7 @@ def test_right_models_raise_no_alarm(kind):
         samples = BRDFSamples(where, value, u_independent=stated, **columns)
         report = residuals.examine(Minimum.of(*fitted(samples, "lambert", {"rho": 0.5})))
         alarms += report.structured
-        sizes += report.verdict == "too large"
+        sizes += report.noise == "larger"
     # 1 % of the sets at most: 3 standard deviations of a count of 1.5.
     assert alarms <= 1.5 + 3 * np.sqrt(1.5)
     if kind == "understated":
@@ -239,23 +239,26 @@ def test_chi_squared_that_is_too_small_is_reported():
     samples = noisy("lambert", {"rho": 0.5}, directions(200))
     boast = BRDFSamples(samples.directions, samples.value, u_independent=2 * samples.u_independent)
     report = residuals.examine(Minimum.of(*fitted(boast, "lambert", {"rho": 0.5})))
-    assert report.verdict == "too small"
-    assert report.chi2 / report.dof == pytest.approx(0.25, abs=0.1)
-    assert "too small for the stated noise" in report.warnings[0]
+    assert report.noise == "smaller"
+    assert report.noise_factor == pytest.approx(0.5, abs=0.1)
+    assert "u_brdf is too large" in report.warnings[0]
 
 
-def test_structure_below_the_stated_shared_errors_is_no_alarm():
+@pytest.mark.parametrize("explains", [True, False])
+def test_structure_is_no_alarm_where_a_stated_shared_error_makes_it(explains):
+    """Of a shape that no shared error has it is one, however large the shared errors are."""
     where = directions(500, seed=4)
-    f = models.get("lambert")(where, rho=0.5) * (1 + 0.02 * np.cos(3 * where.theta_r))
+    shape = np.cos(3 * where.theta_r)
+    f = models.get("lambert")(where, rho=0.5) * (1 + 0.02 * shape)
     rng = np.random.default_rng(3)
     value = f * (1 + 0.003 * rng.standard_normal(500))
-    standard = SharedTerm("standard", "", relative=0.05)
+    standard = SharedTerm("standard", "", relative=0.05, profile=shape if explains else None)
     samples = BRDFSamples(where, value, u_independent=0.003 * f, shared=(standard,))
     report = residuals.examine(Minimum.of(*fitted(samples, "lambert", {"rho": 0.5})))
-    assert report.structured
-    assert report.covered
-    assert report.warnings == []
-    assert report.line.endswith("smaller than the stated shared errors")
+    assert report.structured is not explains
+    assert report.covered is explains
+    assert (report.warnings == []) is explains
+    assert report.line.endswith("which the stated shared errors explain") is explains
 
 
 # ---------------------------------------------------------------- limits at bounds

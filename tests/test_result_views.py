@@ -60,7 +60,7 @@ def test_repr_is_one_short_line(ward, joint, rough):
         assert len(repr(result)) < 500
         assert "\n" not in repr(result)
     assert re.match(
-        r"<FitResult ward_isotropic: rho_d = 0\.\d+ ± 0\.\d+, .*; converged, 400 samples, chi2/dof",
+        r"<FitResult ward_isotropic: rho_d = 0\.\d+ ± 0\.\d+, .*; fits, converged, 400 samples",
         repr(ward),
     )
     assert re.search(r"sigma = 0\.40\d+ ± 0\.0\d+ rad", repr(rough))
@@ -114,7 +114,7 @@ def test_a_result_of_an_unknown_model_still_prints(ward):
     from dataclasses import replace
 
     stranger = replace(ward, model="of_another_package", memory=None)
-    assert str(stranger).startswith("of_another_package\n400 samples")
+    assert str(stranger).startswith("of_another_package\nverdict: fits: ")
 
 
 # ---------------------------------------------------------------- correlation

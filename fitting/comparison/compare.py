@@ -20,12 +20,14 @@ from gonio.fitting.comparison.scores import score_model
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.record import MISFIT, Minimum
 from gonio.fitting.problem.constraints import Constraints
+from gonio.fitting.problem.noise_law import laws_in_words
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.fitting.screening import screened
 from gonio.models import Model, source_of
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
+from gonio.samples.stated_errors import with_shared_errors
 from gonio.wording import counted
 
 ROUGH_GROUPS = 8  # a standard error over fewer groups is rough
@@ -44,6 +46,8 @@ def compare(
     seed: int = 0,
     threads: int | None = None,
     cuts: Mapping[str, Any] | None = None,
+    u_scale: float | None = None,
+    u_angle: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """Compare models on the same BRDF samples.
@@ -64,6 +68,8 @@ def compare(
     threads : int, optional
     cuts : mapping, optional
         Selections made before, to be stated in the result.
+    u_scale, u_angle : float, optional
+        As `gonio.fit` takes them.
     progress : callable, optional
         Called with (models done, models in all).
 
@@ -105,6 +111,7 @@ def compare(
     False
     """
     chosen = _checked(models)
+    samples = with_shared_errors(samples, u_scale=u_scale, u_angle=u_angle)
     constraints = _constraints(chosen, fixed or {}, tied or {})
     screening = screened(samples)
     samples = screening.samples
@@ -236,7 +243,7 @@ def _notes(reference: Minimum, groups: list[predictive_scores.Index], n_loo: int
             " This noise includes the misfit: scores of single samples and the "
             "evidence are then overconfident; the scatter between incidences is the better guide."
         )
-    notes = [text]
+    notes = [text, *laws_in_words(problem.noise_laws)]
     if len(groups) < predictive_scores.MIN_GROUPS:
         notes.append(
             f"no held-out score: the samples have {counted(len(groups), 'group')} of incidence and "

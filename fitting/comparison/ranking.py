@@ -63,14 +63,35 @@ def _score(
     )
 
 
+def verdicts_in_words(entries: tuple[Entry, ...]) -> str:
+    """Which models fit: a sentence, to stand before the conclusion from the scores."""
+    by_class: dict[str, list[str]] = {}
+    for entry in entries:
+        if entry.verdict is not None:
+            by_class.setdefault(entry.verdict.kind, []).append(entry.model)
+    fitting = by_class.get("fits", []) + by_class.get("fits_within_shared", [])
+    if fitting:
+        return f"Of these models {_with_verb(fitting, 'fits', 'fit')}. "
+    undecided = by_class.get("undecided", [])
+    if undecided:
+        return f"Whether {_with_verb(undecided, 'fits', 'fit')} is undecided; no other model does. "
+    return "None of these models fits. " if by_class else ""
+
+
+def _with_verb(names: list[str], singular: str, plural: str) -> str:
+    return f"{listed(names)} {singular if len(names) == 1 else plural}"
+
+
 def conclusion_of(entries: tuple[Entry, ...]) -> str:
-    """One sentence: which models the data cannot distinguish from the best."""
-    best = entries[0]
+    """Which models fit, and which the data cannot distinguish from the best."""
+    best, verdicts = entries[0], verdicts_in_words(entries)
     kind: Literal["held_out", "loo"] = "loo" if best.held_out is None else "held_out"
     words = "held-out" if kind == "held_out" else "leave-one-out"
     scores = {e.model: getattr(e, kind) for e in entries[1:]}
     if getattr(best, kind) is None:
-        return "No predictive score could be computed; the data and these models do not allow it."
+        return verdicts + (
+            "No predictive score could be computed; the data and these models do not allow it."
+        )
     same = [name for name, s in scores.items() if s is not None and not s.told_apart]
     unknown = [name for name, s in scores.items() if s is None]
     if same:
@@ -84,4 +105,4 @@ def conclusion_of(entries: tuple[Entry, ...]) -> str:
             text += f", though it predicts better than {listed(counts)} incidences"
     else:
         text = f"By the {words} score {best.model} predicts better than every other model scored"
-    return text + (f"; {listed(unknown)} could not be scored." if unknown else ".")
+    return verdicts + text + (f"; {listed(unknown)} could not be scored." if unknown else ".")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gonio.files import write_text
+from gonio.fitting.result.verdict import Verdict
 
 SCHEMA = "gonio.compare/1"
 
@@ -71,6 +72,8 @@ class Entry:
         Why something is None, and what to mistrust.
     units : mapping of str to str
         "rad" for angles.
+    verdict : Verdict
+        Whether the model, with its own weights, describes the samples.
     """
 
     model: str
@@ -90,10 +93,12 @@ class Entry:
     log_evidence_stderr: float | None
     notes: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    verdict: Verdict | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The entry as plain data, angles in degrees."""
         data = asdict(self)
+        data["verdict"] = None if self.verdict is None else self.verdict.to_dict()
         for name, unit in data.pop("units").items():
             if unit == "rad":
                 data["values"][name] = math.degrees(data["values"][name])

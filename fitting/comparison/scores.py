@@ -13,6 +13,7 @@ from gonio.fitting.comparison.records import Entry
 from gonio.fitting.minimum.minimise import minimise
 from gonio.fitting.minimum.optimum import Optimum
 from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.residual_tests.verdict import verdict_of
 from gonio.fitting.uncertainty.at_minimum import uncertainties
 from gonio.fitting.uncertainty.covariance import Uncertainty
 from gonio.geometry import FloatArray
@@ -36,6 +37,7 @@ def score_model(
     seed: int,
 ) -> Judged:
     """One model under the noise of the best-fitting one."""
+    verdict = verdict_of(minimum)
     problem, optimum = minimum.problem, minimum.optimum
     common = reference.problem.inverse_variance
     if not np.array_equal(problem.inverse_variance, common):
@@ -68,6 +70,7 @@ def score_model(
         log_evidence=None if evidence is None else evidence[0],
         log_evidence_stderr=None if evidence is None else evidence[1],
         notes=tuple(notes),
+        verdict=verdict,
     )
     return Judged(entry, by_group, by_sample)
 

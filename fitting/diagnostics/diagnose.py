@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gonio.fitting.diagnostics.identifiability import identify
-from gonio.fitting.diagnostics.residual_report import ResidualReport, examine
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.copies import (
     copies_warning,
 )
-from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.residual_tests.report import examine_parts
+from gonio.fitting.residual_tests.verdict import judge
+from gonio.fitting.residual_tests.whitened import Base
+from gonio.fitting.result.verdict import Verdict
 
 
-def diagnose(minimum: Minimum) -> tuple[dict[str, Any], list[str]]:
-    """Diagnostics of a fit as plain data, and what a reader must be warned of.
+def diagnose(minimum: Minimum) -> tuple[Verdict, dict[str, Any], list[str]]:
+    """The verdict on a fit, its diagnostics as plain data, and what a reader must be warned of.
 
     Parameters
     ----------
@@ -27,30 +25,23 @@ def diagnose(minimum: Minimum) -> tuple[dict[str, Any], list[str]]:
     """
     problem = minimum.problem
     identified = identify(minimum)
-    reports = [_of_piece(minimum, piece, index) for piece, _, index in problem.pieces()]
+    base = Base.of(minimum)
+    reports = examine_parts(minimum, base)
+    verdict = judge(minimum, base, reports)
+    # An error of the model within the tolerance, or that shared errors explain, is no warning.
+    sentences = [
+        report.warnings_of_noise if verdict.fits else report.warnings for report in reports
+    ]
     warnings = copies_warning(problem.samples) + identified.warnings
     if len(reports) == 1:
         residuals: Any = reports[0].to_dict()
-        warnings += reports[0].warnings
+        warnings += sentences[0]
     else:
         residuals = {"parts": [report.to_dict() for report in reports]}
-        bad = [k + 1 for k, report in enumerate(reports) if report.warnings]
+        bad = [k + 1 for k, own in enumerate(sentences) if own]
         if bad:
-            first = reports[bad[0] - 1].warnings[0]
             warnings.append(
                 f"the residuals of {len(bad)} of {len(reports)} parts are not noise; part "
-                f"{bad[0]}: {first}"
+                f"{bad[0]}: {sentences[bad[0] - 1][0]}"
             )
-    return {"identifiability": identified.to_dict(), "residuals": residuals}, warnings
-
-
-def _of_piece(minimum: Minimum, piece: Problem, index: NDArray[np.int64]) -> ResidualReport:
-    optimum = minimum.optimum
-    own = replace(
-        optimum,
-        p=optimum.p[index],
-        gradient=optimum.gradient[index],
-        curvature=optimum.curvature[np.ix_(index, index)],
-        free=optimum.free[index],
-    )
-    return examine(minimum.at(piece, own))
+    return verdict, {"identifiability": identified.to_dict(), "residuals": residuals}, warnings

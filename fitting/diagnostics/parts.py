@@ -87,10 +87,9 @@ def _misfits(problem: JointProblem, parts: Sequence[PartFit]) -> list[str]:
     where = ", ".join(part.name for part in bad[:LISTED])
     where += f" and {len(bad) - LISTED} more" if len(bad) > LISTED else ""
     return [
-        f"chi2/dof is {_range([part.chi2 / part.dof for part in bad])} in {where}: the "
-        "residuals come from the model, or from effects that it leaves out, not from noise; the "
-        f"independent uncertainties there were multiplied by "
-        f"{_range([part.noise_scale for part in bad])}."
+        f"in {where} the residuals are {_range([part.noise_scale for part in bad])} times as large "
+        "as the stated independent noise; the independent uncertainties there were multiplied by "
+        "that factor."
     ]
 
 

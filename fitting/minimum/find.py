@@ -23,6 +23,7 @@ from gonio.samples import BRDFSamples
 
 ROUNDS = 30  # in which weights from the fitted values settle
 SETTLED = 1e-6  # relative change of every weight that ends them
+LAW_ROUNDS = 4  # in which weights settle that follow the fitted values in place of the readings
 
 
 def find_minimum(
@@ -67,6 +68,8 @@ def _find(
                 f"where chi2 is {given.chi2 / max(candidates[0].chi2, 1e-300):.3g} times that of "
                 "the minimum that was taken."
             )
+    if problem.weights == "sd":
+        problem = problem.with_noise_law(candidates[0].p)
     problem, optimum = reweighted_minimum(problem, candidates[0])
     for other in candidates[1:]:
         if problem.weights_follow_model:
@@ -89,7 +92,9 @@ def reweighted_minimum(
     `search` is that of `minimise`.
     """
     if problem.weights_follow_model:
-        for _ in range(2 if problem.weights == "sd" else ROUNDS):
+        by_law = any(law is not None for law in problem.noise_laws)
+        rounds = LAW_ROUNDS if by_law else 2 if problem.weights == "sd" else ROUNDS
+        for _ in range(rounds):
             before = problem.inverse_variance
             problem = problem.reweighted(optimum.p)
             optimum = minimise(problem, optimum.p, search=search, near=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.minimum.derivative_check import gradient_faults
-from gonio.fitting.minimum.find import ROUNDS, find_minimum, settled, without_spikes
+from gonio.fitting.minimum.find import LAW_ROUNDS, ROUNDS, find_minimum, settled, without_spikes
 from gonio.fitting.minimum.joint_starts import (
     joint_starts,
 )
@@ -179,7 +179,9 @@ def _find(
 def _reweighted_minimum(problem: JointProblem, optimum: Optimum) -> tuple[JointProblem, Optimum]:
     """Weights taken at the model's values, as in a fit of one BRDF."""
     if problem.weights_follow_model:
-        for _ in range(2 if problem.weights == "sd" else ROUNDS):
+        by_law = any(law is not None for law in problem.noise_laws)
+        rounds = LAW_ROUNDS if by_law else 2 if problem.weights == "sd" else ROUNDS
+        for _ in range(rounds):
             before = problem.inverse_variance
             problem = problem.reweighted(optimum.p)
             optimum = minimise(problem, optimum.p, search=False)

@@ -16,7 +16,7 @@ from gonio.fitting.minimum.rivals import parameter_text
 from gonio.fitting.posterior import sample as posteriors
 from gonio.fitting.posterior.chain import Chain, Progress, Sampler
 from gonio.fitting.posterior.priors import Prior, resolve
-from gonio.fitting.residual_tests.misfit import misfit_test
+from gonio.fitting.residual_tests.verdict import misfit_beyond_shared
 from gonio.fitting.result import Estimate
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
 from gonio.fitting.uncertainty.covariance import Uncertainty
@@ -48,7 +48,7 @@ def sampled(
         )
     believed = resolve(minimum.problem.parameters, priors)
     for _ in range(RESTARTS + 1):
-        test = misfit_test(minimum) if minimum.problem.quadratic else None
+        test = misfit_beyond_shared(minimum) if minimum.problem.quadratic else None
         errors, _ = honest_uncertainties(minimum, test)
         chain = posteriors.sample(
             minimum, errors, seed=seed, sampler=sampler, priors=believed, progress=progress

@@ -15,6 +15,7 @@ from gonio.fitting.problem import by_jacobian, unknowns, weighting
 from gonio.fitting.problem.channels import Channel
 from gonio.fitting.problem.joined_samples import cells_within, joined, joined_cells
 from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.penalised import PenalisedProblem
 from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import shared_changes
@@ -162,6 +163,10 @@ class JointProblem:
         return any(part.weights_follow_model for part in self.parts)
 
     @property
+    def noise_laws(self) -> tuple[NoiseLaw | None, ...]:
+        return tuple(part.noise_laws[0] for part in self.parts)
+
+    @property
     def sum_limit(self) -> FloatArray:
         return unknowns.sum_limit(self.model, self.parameters)
 
@@ -219,6 +224,10 @@ class JointProblem:
             new = part.reweighted(None if p is None else p[own_indices])
             parts.append(new.with_weights(new.inverse_variance / scale**2))
         return replace(self, parts=tuple(parts))
+
+    def with_noise_law(self, p: FloatArray) -> JointProblem:
+        pairs = zip(self.parts, self.indices, strict=True)
+        return replace(self, parts=tuple(q.with_noise_law(p[own]) for q, own in pairs))
 
     def with_directions(
         self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0

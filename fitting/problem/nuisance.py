@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.problem import by_jacobian
 from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import draw_slope
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
@@ -169,6 +170,10 @@ class NuisanceProblem:
         return self.moved.weights_follow_model
 
     @property
+    def noise_laws(self) -> tuple[NoiseLaw | None, ...]:
+        return self.base.noise_laws
+
+    @property
     def sum_limit(self) -> FloatArray:
         return self.moved.sum_limit
 
@@ -198,6 +203,10 @@ class NuisanceProblem:
 
     def as_least_squares(self, p: FloatArray | None = None) -> NuisanceProblem:
         return replace(self, base=self.base.as_least_squares(), moved=self.moved.as_least_squares())
+
+    def with_noise_law(self, p: FloatArray) -> NuisanceProblem:
+        base, moved = self.base.with_noise_law(p), self.moved.with_noise_law(p)
+        return replace(self, base=base, moved=moved)
 
     def with_directions(
         self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0

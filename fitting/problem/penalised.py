@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.problem import by_jacobian
 from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
@@ -98,6 +99,10 @@ class PenalisedProblem:
         return self.data.weights_follow_model
 
     @property
+    def noise_laws(self) -> tuple[NoiseLaw | None, ...]:
+        return self.data.noise_laws
+
+    @property
     def sum_limit(self) -> FloatArray:
         return self.data.sum_limit
 
@@ -131,6 +136,9 @@ class PenalisedProblem:
 
     def reweighted(self, p: FloatArray | None) -> PenalisedProblem:
         return replace(self, data=self.data.reweighted(p))
+
+    def with_noise_law(self, p: FloatArray) -> PenalisedProblem:
+        return replace(self, data=self.data.with_noise_law(p))
 
     def with_directions(
         self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0

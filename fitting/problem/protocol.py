@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
@@ -94,6 +95,10 @@ class Problem(Protocol):
     @property
     def weights_follow_model(self) -> bool:
         """Whether the weights depend on the model's values, so that a fit must be repeated."""
+
+    @property
+    def noise_laws(self) -> tuple[NoiseLaw | None, ...]:
+        """For each part the law by which stated uncertainties follow the readings, or None."""
 
     @property
     def sum_limit(self) -> FloatArray:
@@ -194,6 +199,12 @@ class Problem(Protocol):
         """The problem with weights, and the scale of its loss, at the model's values for p.
 
         As stated where p is None.
+        """
+
+    def with_noise_law(self, p: FloatArray) -> Problem:
+        """The problem with weights at the model's values where u follows the readings.
+
+        Whether it does is seen by the model's values for p; `reweighted` then takes the weights.
         """
 
     def with_directions(

@@ -12,6 +12,7 @@ from gonio.errors import unknown_name
 from gonio.fitting.problem import unknowns
 from gonio.fitting.problem.constraints import Constraints
 from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import shared_changes
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
@@ -106,6 +107,10 @@ class ReducedProblem:
         return self.whole.weights_follow_model
 
     @property
+    def noise_laws(self) -> tuple[NoiseLaw | None, ...]:
+        return self.whole.noise_laws
+
+    @property
     def sum_limit(self) -> FloatArray:
         """Of the unknowns, what is fixed taken off; a single one is limited by its bound."""
         c = unknowns.sum_limit(self.model, self.model.parameters)
@@ -167,6 +172,9 @@ class ReducedProblem:
     def reweighted(self, p: FloatArray | None) -> ReducedProblem:
         x = None if p is None else self.kernel.expanded(p)
         return replace(self, whole=self.whole.reweighted(x))
+
+    def with_noise_law(self, p: FloatArray) -> ReducedProblem:
+        return replace(self, whole=self.whole.with_noise_law(self.kernel.expanded(p)))
 
     def with_directions(
         self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0

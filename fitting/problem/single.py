@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gonio.errors import DataError
 from gonio.fitting.problem import by_jacobian, losses, unknowns, weighting
 from gonio.fitting.problem.losses import CHI2, Loss
+from gonio.fitting.problem.noise_law import NoiseLaw, noise_law
 from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import shared_changes
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
@@ -44,6 +45,8 @@ class SingleProblem:
         Squares of those factors.
     law : Loss
         What is summed over the samples (`gonio.fitting.problem.losses`).
+    noise_law : NoiseLaw, optional
+        By which the stated uncertainties follow the readings, where they do.
     """
 
     view: ViewedSamples
@@ -52,6 +55,7 @@ class SingleProblem:
     weights: Weights
     inverse_variance: FloatArray
     law: Loss = CHI2
+    noise_law: NoiseLaw | None = None
 
     @classmethod
     def from_samples(
@@ -131,7 +135,12 @@ class SingleProblem:
 
     @property
     def weights_follow_model(self) -> bool:
-        return weighting.follow_model(self.samples, self.weights, self.law)
+        by_law = self.noise_law is not None and self.weights == "sd"
+        return by_law or weighting.follow_model(self.samples, self.weights, self.law)
+
+    @property
+    def noise_laws(self) -> tuple[NoiseLaw | None, ...]:
+        return (self.noise_law,)
 
     @property
     def sum_limit(self) -> FloatArray:
@@ -179,8 +188,16 @@ class SingleProblem:
         f = None
         if p is not None and (self.weights in ("sd", "relative") or self.finds_scale):
             f = self.values(p)
-        inverse = weighting.inverse_variance(self.samples, self.weights, self.law, f)
+        inverse = weighting.inverse_variance(
+            self.samples, self.weights, self.law, f, self.noise_law
+        )
         return replace(self, inverse_variance=inverse)
+
+    def with_noise_law(self, p: FloatArray) -> SingleProblem:
+        s = self.samples
+        if s.u_independent is None or s.noise_slope is not None or s.u_reference is not None:
+            return self
+        return replace(self, noise_law=noise_law(s.value, s.u_independent, self.values(p)))
 
     def with_directions(
         self, *, shift: FloatArray | None = None, turn: float | FloatArray = 0.0
@@ -216,7 +233,7 @@ class SingleProblem:
     # ------------------------------------------------------------------ values and sums
 
     def variance(self, f: FloatArray | None = None, *, sharing: bool = False) -> FloatArray:
-        return weighting.variance_about(self.samples, f, sharing=sharing)
+        return weighting.variance_about(self.samples, f, sharing=sharing, law=self.noise_law)
 
     def values(self, p: FloatArray, cells: Cells | None = None) -> FloatArray:
         out = np.empty(self.n)

@@ -8,12 +8,14 @@ import numpy as np
 
 from gonio.errors import ConfigurationError
 from gonio.fitting.problem.losses import Loss
+from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.protocol import Weights
 from gonio.geometry import FloatArray
 from gonio.samples import BRDFSamples
 
 ROUNDING = 1e-15  # of the largest value: a residual that is rounding
 DARKEST = 1e-9  # of the largest value: below, f counts as this in relative weights
+LEAST_VARIANCE = 0.1  # of the stated variance: the least that a sample has about any model
 
 
 def checked_weights(weights: Any, law: Loss, samples: BRDFSamples) -> Weights:
@@ -39,7 +41,11 @@ def checked_weights(weights: Any, law: Loss, samples: BRDFSamples) -> Weights:
 
 
 def variance_about(
-    samples: BRDFSamples, f: FloatArray | None = None, *, sharing: bool = False
+    samples: BRDFSamples,
+    f: FloatArray | None = None,
+    *,
+    sharing: bool = False,
+    law: NoiseLaw | None = None,
 ) -> FloatArray:
     """Variance of each sample where its expectation is f, or as stated.
 
@@ -55,17 +61,21 @@ def variance_about(
         Model values.
     sharing : bool
         Count the noise of a standard's frame once for each image that uses it.
+    law : NoiseLaw, optional
+        By which the stated uncertainty follows the readings.
     """
     assert samples.u_independent is not None
     stated = samples.u_independent**2
     reference = np.zeros(len(samples)) if samples.u_reference is None else samples.u_reference**2
+    if law is not None and f is not None:
+        return np.maximum(law.variance(f), LEAST_VARIANCE * stated)
     total = stated
     value = np.maximum(samples.value, 0.0)
     if f is not None and samples.noise_slope is not None:
         ratio = np.clip(f / np.where(value > 0, value, np.inf), 0.7, 1.4)
         moved = np.where(value > 0, reference * ratio**2, reference)
         total = stated - reference + moved + samples.noise_slope * (f - value)
-        total = np.maximum(total, 0.1 * stated)
+        total = np.maximum(total, LEAST_VARIANCE * stated)
         reference = moved
     if sharing:
         total = total + (samples.reference_sharing - 1) * reference
@@ -73,14 +83,18 @@ def variance_about(
 
 
 def inverse_variance(
-    samples: BRDFSamples, weights: Weights, law: Loss, f: FloatArray | None
+    samples: BRDFSamples,
+    weights: Weights,
+    loss: Loss,
+    f: FloatArray | None,
+    law: NoiseLaw | None = None,
 ) -> FloatArray:
     """Squares of the factors on residuals, (N,), where the model's values are f.
 
     As stated where f is None. A loss that needs the size of the noise finds it in the residuals.
     """
     if weights == "sd":
-        inverse = 1 / variance_about(samples, f, sharing=True)
+        inverse = 1 / variance_about(samples, f, sharing=True, law=law)
     elif weights == "none":
         inverse = np.ones(len(samples))
     elif weights == "relative":
@@ -90,12 +104,12 @@ def inverse_variance(
         inverse = np.cos(directions.theta_r) ** 2 * np.ones(len(samples))
         if weights == "coscos":
             inverse = inverse * np.cos(directions.theta_i) ** 2
-    if finds_scale(weights, law):
+    if finds_scale(weights, loss):
         root = np.sqrt(inverse)
         residual = samples.value - (0.0 if f is None else f)
         # Residuals that are rounding have no size of their own.
         least = ROUNDING * float(np.max(np.abs(samples.value * root))) or 1.0
-        inverse = inverse / max(law.scale(residual * root), least) ** 2
+        inverse = inverse / max(loss.scale(residual * root), least) ** 2
     return np.asarray(inverse)
 
 

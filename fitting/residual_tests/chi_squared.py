@@ -50,9 +50,9 @@ def chi_squared_test(base: Base) -> tuple[float, float, float, str]:
     chi2 = max(chi2, 0.0)
     scaled = chi2 * counted / n
     above, below = stats.chi2.sf(scaled, counted), stats.chi2.cdf(scaled, counted)
-    verdict = "fits"
+    verdict = "as stated"
     if above < OUTSIDE and chi2 > MATERIAL * n:
-        verdict = "too large"
+        verdict = "larger"
     elif below < OUTSIDE and chi2 < n / MATERIAL:
-        verdict = "too small"
+        verdict = "smaller"
     return chi2, float(n), float(min(above, below)), verdict

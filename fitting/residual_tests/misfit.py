@@ -1,9 +1,10 @@
 """Whether the residuals of a fit have structure that noise has not: tests of variance components.
 
-Under a true model the standardised residuals are white. Four kinds of error of the model are looked
+Under a true model the standardised residuals are white. Five kinds of error of the model are looked
 for: one that is smooth over half and difference angle, one that varies quickly over them, one that
-is smooth over viewing direction and angle of incidence, and a factor of each incidence. Each is a
-variance component whose score test is exact for normal noise of any size; Cauchy's rule combines
+is smooth over viewing direction and angle of incidence, one that varies with the direction of the
+half vector on the sample, and a factor of each incidence. Each is a variance component whose score
+test is exact for normal noise of any size; Cauchy's rule combines
 them. The size of the noise drops out; how it depends on f must be right, so that noise that nobody
 stated is taken as sd^2 = a + b f^2 with a and b from the scatter itself.
 """
@@ -16,8 +17,10 @@ from dataclasses import dataclass
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.residual_tests.model_errors import error_columns
 from gonio.fitting.residual_tests.quadratic_forms import combined
-from gonio.fitting.residual_tests.standardised import MOST, Noise, Standardised, standardise
+from gonio.fitting.residual_tests.standardised import Noise, standardise
+from gonio.fitting.residual_tests.whitened import Base
 
+MOST = 5_000  # samples that are examined: an error of the model of a tenth of the noise is seen
 ALARM = 0.01  # share of true models in which structure is reported
 
 
@@ -56,7 +59,7 @@ class MisfitTest:
         return self.p < ALARM
 
 
-def misfit_test(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> MisfitTest | None:
+def misfit_test(minimum: Minimum, *, shared: bool = True) -> MisfitTest | None:
     """Test the residuals of a fit for structure.
 
     Parameters
@@ -64,8 +67,6 @@ def misfit_test(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> M
     minimum : Minimum
         Of a problem of any kind: over one BRDF or several, reduced, with profiled shared errors,
         or penalised.
-    most : int
-        Samples that are examined; more are thinned evenly.
     shared : bool
         With the errors that samples share in the covariance of the residuals, as `SharedTerm`
         states them; without them they count as errors of the model.
@@ -92,12 +93,14 @@ def misfit_test(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> M
     >>> misfit_test(find_minimum(samples, get("lambert"))).structured
     True
     """
-    left = standardise(minimum, most=most, shared=shared)
-    return None if left is None else test_of(left)
+    return misfit_test_of(Base.of(minimum, MOST), shared=shared)
 
 
-def test_of(left: Standardised) -> MisfitTest:
-    """The test of residuals that are standardised already."""
+def misfit_test_of(base: Base, *, shared: bool = True) -> MisfitTest | None:
+    """`misfit_test` where the fit's values and derivatives are at hand."""
+    left = standardise(base.thinned(MOST), shared=shared)
+    if left is None:
+        return None
     found: dict[str, list[float]] = {}
     parts = []
     for piece, where, _ in left.problem.pieces():

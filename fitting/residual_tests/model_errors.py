@@ -19,6 +19,7 @@ SAMPLES_EACH = 3  # at least so many samples have one factor
 SMOOTH = "error that is smooth over half and difference angle"
 FINE = "error that varies quickly over half and difference angle"
 VIEW = "error that is smooth over viewing direction and angle of incidence"
+AZIMUTH = "error that varies with the direction of the half vector on the sample"
 FACTOR = "factor of each incidence"
 
 
@@ -47,6 +48,7 @@ def error_columns(problem: Problem, level: FloatArray) -> dict[str, FloatArray]:
         SMOOTH: smooth_columns(pair, (6, 5), WIDE),
         FINE: smooth_columns(pair, (12, 9), NARROW),
         VIEW: smooth_columns(view, (6, 4, 4), WIDE),
+        AZIMUTH: smooth_columns(half[:, :2], (9, 9), NARROW),
         FACTOR: factors,
     }
 

@@ -79,15 +79,14 @@ def component_test(gram: FloatArray, score: float, square: float, dof: int) -> f
     dof : int
         Degrees of freedom of |z|^2.
     """
-    values = np.linalg.eigvalsh(gram)
+    values: FloatArray = np.linalg.eigvalsh(gram)
     values = values[values > NEGLIGIBLE]
     rest = dof - len(values)
     if len(values) == 0 or square <= 0 or rest < 0:
         return None
     ratio = score / square
-    weights, multiplicity = values - ratio, np.ones(len(values))
-    if rest:
-        weights, multiplicity = np.append(weights, -ratio), np.append(multiplicity, float(rest))
+    weights = np.concatenate([values - ratio, np.full(min(rest, 1), -ratio)])
+    multiplicity = np.concatenate([np.ones(len(values)), np.full(min(rest, 1), float(rest))])
     return upper_tail(weights, multiplicity)
 
 

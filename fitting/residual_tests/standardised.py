@@ -8,14 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
-from gonio.fitting.problem.shared_columns import shared_columns, thinned
 from gonio.fitting.residual_tests.quadratic_forms import component_test
-from gonio.fitting.residual_tests.whitened import ROUNDING, scatter_weights
+from gonio.fitting.residual_tests.whitened import ROUNDING, Base, scatter_weights
 from gonio.geometry import FloatArray
 
-MOST = 20_000  # samples that are examined: enough for any structure that matters
 LEAST = 8  # degrees of freedom that a test of structure needs
 UNDETERMINED = 1e-10  # squared singular value of scaled columns that is no information
 
@@ -94,46 +91,40 @@ class Standardised:
         return decorrelated(self.shared, self.q)
 
 
-def standardise(minimum: Minimum, *, most: int = MOST, shared: bool = True) -> Standardised | None:
+def standardise(base: Base, *, shared: bool = True) -> Standardised | None:
     """Residuals of a fit in units of the noise; None where fewer than 8 degrees of freedom remain.
 
     Parameters
     ----------
-    minimum : Minimum
-        Of any problem.
-    most : int
-        Samples that are examined; more are thinned evenly.
+    base : Base
     shared : bool
         With errors that the samples share in the covariance; without, all is independent noise.
     """
     from scipy.sparse import csr_array, diags_array
 
-    problem, optimum = thinned(minimum.problem, most), minimum.optimum
-    f, jacobian = problem.jacobian(optimum.p)
-    jacobian = jacobian[:, optimum.free & (np.diag(optimum.curvature) > 0)]
-    residual = problem.samples.value - f
+    problem, f = base.problem, base.f
+    residual = base.residual
     unit = float(np.max(np.abs(problem.samples.value))) or 1.0
     if not np.max(np.abs(residual)) > ROUNDING * unit:
         return None
     root, noise = _noise(problem, f, residual, unit)
     draws: Any = csr_array((problem.n, 0))
-    if shared and problem.samples.shared:
-        draws = csr_array(diags_array(root) @ shared_columns(problem, optimum.p, f))
+    if shared and base.shared.shape[1]:
+        draws = csr_array(diags_array(root) @ base.shared)
         residual = residual + problem.profiled_change()
-    whitened = decorrelated(draws, root[:, None] * np.column_stack([jacobian, residual]))
+    whitened = decorrelated(draws, root[:, None] * np.column_stack([base.jacobian, residual]))
     q = orthonormal(whitened[:, :-1])
     z = whitened[:, -1]
     z = z - q @ (q.T @ z)
     inner = np.linalg.inv(np.eye(draws.shape[1]) + (draws.T @ draws).toarray())
-    n_all = minimum.problem.n
-    found = Standardised(problem, z, q, root * f, root, noise, n_all, draws, inner)
+    found = Standardised(problem, z, q, root * f, root, noise, base.n_all, draws, inner)
     return found if found.dof >= LEAST and float(z @ z) > 0 else None
 
 
 def _noise(
     problem: Problem, f: FloatArray, residual: FloatArray, unit: float
 ) -> tuple[FloatArray, Noise]:
-    """One over the noise: as stated, or sd^2 = a + b f^2 from the scatter, by part."""
+    """One over the noise as stated, or by part sd^2 = a + b f^2 from the scatter."""
     if problem.weights == "sd":
         return np.sqrt(problem.inverse_variance), "stated"
     if problem.weights == "relative":

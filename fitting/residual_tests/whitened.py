@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.shared_columns import shared_columns, thinned
 from gonio.fitting.residual_tests.groups import (
     LEAST,
 )
@@ -16,17 +18,59 @@ from gonio.geometry import FloatArray
 ROUNDING = 1e-10  # of the largest value: smaller residuals are no residuals
 
 
+MOST = 20_000  # samples that are examined: enough for any error of the model that matters
+
+
 @dataclass(frozen=True)
 class Base:
-    """A problem at its minimum: values, derivatives by what is free, shared errors."""
+    """A problem at its minimum, over at most so many samples that all tests of residuals share.
+
+    Parameters
+    ----------
+    problem : Problem
+        Over the samples that are examined, evenly chosen.
+    f : ndarray, shape (N,)
+        Fitted values.
+    jacobian : ndarray, shape (N, free)
+        Derivatives by the free parameters that the samples tell of.
+    shared : Any
+        Change of the samples by one standard deviation of each shared draw, sparse (N, draws).
+    n_all : int
+        Samples of the fit.
+    """
 
     problem: Problem
     f: FloatArray
     jacobian: FloatArray
-    shared: Any  # sparse (N, draws)
+    shared: Any
+    n_all: int
+
+    @classmethod
+    def of(cls, minimum: Minimum, most: int = MOST) -> Base:
+        """The base of a fit; more than `most` samples are thinned evenly."""
+        problem, optimum = thinned(minimum.problem, most), minimum.optimum
+        f, jacobian = problem.jacobian(optimum.p)
+        used = optimum.free & (np.diag(optimum.curvature) > 0)
+        shared = shared_columns(problem, optimum.p, f)
+        return cls(problem, f, jacobian[:, used], shared, minimum.problem.n)
+
+    def thinned(self, most: int) -> Base:
+        """The base over at most so many of its samples, evenly chosen."""
+        n = self.problem.n
+        if n <= most:
+            return self
+        index = np.unique(np.linspace(0, n - 1, most).astype(np.int64))
+        return replace(
+            self,
+            problem=self.problem.at(index),
+            f=self.f[index],
+            jacobian=self.jacobian[index],
+            shared=self.shared[index],
+        )
 
     @property
     def residual(self) -> FloatArray:
+        """Measured less fitted values, (N,)."""
         return np.asarray(self.problem.samples.value - self.f)
 
 

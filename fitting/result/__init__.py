@@ -10,6 +10,8 @@ from gonio.fitting.result.estimates import (
 )
 from gonio.fitting.result.fit_result import FitResult
 from gonio.fitting.result.record import FitRecord
+from gonio.fitting.result.score import Score
+from gonio.fitting.result.verdict import Verdict
 
 __all__ = [
     "SCHEMA",
@@ -19,6 +21,8 @@ __all__ = [
     "NuisanceEstimate",
     "PartFit",
     "PosteriorSummary",
+    "Score",
     "Sharing",
+    "Verdict",
     "plain",
 ]

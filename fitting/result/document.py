@@ -20,6 +20,7 @@ from gonio.fitting.result.estimates import (
     Sharing,
 )
 from gonio.fitting.result.record import FitRecord
+from gonio.fitting.result.verdict import Verdict
 
 SCHEMA = "gonio.fit/1"
 Record = TypeVar("Record", bound=FitRecord)
@@ -30,6 +31,8 @@ def to_dict(record: FitRecord) -> dict[str, Any]:
     """The result as plain data of schema gonio.fit/1, angles in degrees."""
     shown = in_file_units(record)
     data = {each.name: plain(getattr(shown, each.name)) for each in fields(FitRecord)}
+    if record.verdict is not None:
+        data["verdict"] = record.verdict.to_dict()
     for entry in data["parameters"].values():
         # Only parameters that are fixed or tied say so.
         for key in ("fixed", "tied_to"):
@@ -65,6 +68,8 @@ def load(path: Path, kind: type[Record]) -> Record:
         data["parts"] = tuple(_part(entry) for entry in data.get("parts", ()))
         if data.get("sharing") is not None:
             data["sharing"] = Sharing(**_with_tuple(data["sharing"], "parameters"))
+        if data.get("verdict") is not None:
+            data["verdict"] = Verdict.from_dict(data["verdict"])
         data["nuisance"] = tuple(NuisanceEstimate(**e) for e in data.get("nuisance", ()))
         return in_python_units(kind(**data))
     except FileNotFoundError:

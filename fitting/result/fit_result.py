@@ -15,8 +15,10 @@ from gonio.fitting.result.html import html
 from gonio.fitting.result.memory import Memory, forgotten
 from gonio.fitting.result.prediction import Prediction, predict
 from gonio.fitting.result.record import FitRecord
+from gonio.fitting.result.score import Score, score
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, of_fit
+from gonio.samples import BRDFSamples
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +46,7 @@ class FitResult(FitRecord):
     >>> samples = BRDFSamples(Directions(0.3, 0.0, theta, 0.0), 0.1 + noise)
     >>> result = fit(samples, "lambert")
     >>> print(repr(result))
-    <FitResult lambert: rho = 0.3145 ± 0.00051; converged, 20 samples>
+    <FitResult lambert: rho = 0.3145 ± 0.00051; fits, converged, 20 samples>
     >>> result.predict(Directions(0.1, 0.0, 0.2, 0.0)).value
     array(0.10009537)
     """
@@ -90,6 +92,27 @@ class FitResult(FitRecord):
             If the fit is a joint one; take a `part` of it.
         """
         return predict(self, self._model(), directions)
+
+    def score(self, samples: BRDFSamples) -> Score:
+        """How well the fit predicts samples that it has not seen.
+
+        Parameters
+        ----------
+        samples : BRDFSamples
+            Of one wavelength and channel; cells count by their centroids.
+
+        Returns
+        -------
+        Score
+            The typical error with its interval, chi-squared by the noise of the samples and the
+            uncertainty of the prediction, and a class as of a verdict.
+
+        Raises
+        ------
+        ConfigurationError
+            If the fit is a joint one; take a `part` of it.
+        """
+        return score(self, self._model(), samples)
 
     @property
     def residuals(self) -> FloatArray:

@@ -20,7 +20,7 @@ def html(record: FitRecord, title: str) -> str:
     rows = [_row("td", parameter_row(name, record.parameters[name], None)) for name in names[:MOST]]
     facts = [counted(record.n_samples, "sample"), record.status.replace("_", " ")]
     if record.weights == "sd" and record.loss == "chi2":
-        facts.insert(1, f"χ²/dof {record.chi2 / record.dof:.4g}")
+        facts.append(f"χ²/dof {record.chi2 / record.dof:.4g} by the independent noise")
     if len(names) > MOST:
         facts.append(f"{counted(len(names) - MOST, 'more parameter')}: to_dataframe() has all")
     lines = ["; ".join(facts)]
@@ -28,6 +28,7 @@ def html(record: FitRecord, title: str) -> str:
         lines += posterior_lines(record.posterior)
     parts = [
         f"<p><strong>{escape(title)}</strong></p>",
+        "" if record.verdict is None else f"<p>{escape(record.verdict.line)}</p>",
         f"<table><thead>{_row('th', _HEAD)}</thead><tbody>{''.join(rows)}</tbody></table>",
         f"<p>{'<br>'.join(map(escape, lines))}</p>",
     ]

@@ -13,6 +13,7 @@ from gonio.fitting.result.estimates import (
     PosteriorSummary,
     Sharing,
 )
+from gonio.fitting.result.verdict import Verdict
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class FitRecord:
     loss : str
         What was made small (`gonio.fitting.problem.losses`); for another one than chi2 its value
         stands as `chi2`, and uncertainties come from the scatter of the residuals.
+    verdict : Verdict or None
+        Whether the model describes the samples; None in files of version 0.1.
     model_source : mapping or None
         File and sha256 of a model from outside the package (`gonio.models.source_of`).
     """
@@ -84,10 +87,21 @@ class FitRecord:
     engine: str = "gauss_newton"
     loss: str = "chi2"
     model_source: Mapping[str, Any] | None = None
+    verdict: Verdict | None = None
 
     @property
     def ok(self) -> bool:
-        """True when the optimum, and the posterior where there is one, passed their checks."""
+        """True when the fit passed its own checks.
+
+        The optimum and the posterior, where there is one, have converged, and the model is of use:
+        it explains half of the variance of f beyond the noise, and predicts incidences that it has
+        not seen better than a constant does.
+        """
+        return self.converged and (self.verdict is None or self.verdict.useful)
+
+    @property
+    def converged(self) -> bool:
+        """True when the optimum, and the posterior where there is one, have converged."""
         return self.status == "converged" and (self.posterior is None or self.posterior.converged)
 
     def values(self) -> dict[str, float]:

@@ -13,6 +13,7 @@ from gonio.fitting.result.joint_tables import joint_tables
 from gonio.fitting.result.lines import WEIGHTS, cuts_line, nuisance_lines, posterior_lines
 from gonio.fitting.result.record import FitRecord
 from gonio.fitting.result.tables import parameter_table
+from gonio.fitting.result.verdict import WORDS
 from gonio.wording import counted
 
 WIDTH = 100  # columns of a page that goes to no terminal
@@ -44,6 +45,7 @@ def page(
     parts = f" in {counted(len(record.parts), 'part')}" if record.parts else ""
     pieces: list[RenderableType] = [
         title,
+        *([] if record.verdict is None else [record.verdict.line]),
         f"{counted(record.n_samples, 'sample')}{parts}{cuts_line(record.cuts)}; "
         f"weights: {WEIGHTS.get(record.weights, record.weights)}",
         f"loss: {record.loss}; engine: {record.engine}",
@@ -53,8 +55,8 @@ def page(
     else:
         pieces.append(parameter_table(record, known))
     stated = record.weights == "sd" and record.loss == "chi2"
-    ratio = f"chi2/dof {record.chi2 / record.dof:.4g}, " if stated else ""
-    pieces.append(f"{ratio}status: {record.status.replace('_', ' ')}")
+    ratio = f"; chi2/dof {record.chi2 / record.dof:.4g} by the independent noise" if stated else ""
+    pieces.append(f"status: {record.status.replace('_', ' ')}{ratio}")
     allowance = record.diagnostics.get("allowance")
     pieces += [str(allowance["text"])] if allowance else []
     if record.posterior is not None:
@@ -84,9 +86,8 @@ def short(record: FitRecord) -> str:
     shown = [f"{name} = {_value(e)}" for name, e in list(record.parameters.items())[:MOST]]
     if len(record.parameters) > MOST:
         shown.append(f"... {len(record.parameters) - MOST} more")
-    facts = [record.status.replace("_", " "), counted(record.n_samples, "sample")]
-    if record.weights == "sd" and record.loss == "chi2":
-        facts.append(f"chi2/dof {record.chi2 / record.dof:.4g}")
+    facts = [] if record.verdict is None else [WORDS[record.verdict.kind]]
+    facts += [record.status.replace("_", " "), counted(record.n_samples, "sample")]
     if record.posterior is not None:
         facts.append("posterior")
     if record.warnings:

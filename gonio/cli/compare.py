@@ -12,8 +12,10 @@ from gonio.cli.completion import complete_models
 from gonio.cli.constraints import constraint_options, constraints_line, read_fixed, read_tied
 from gonio.cli.inputs import require_measured
 from gonio.cli.measured import read_samples, sample_options
+from gonio.cli.stated_errors import read_stated_errors, stated_error_options
 from gonio.errors import ConfigurationError
 from gonio.fitting.result.lines import WEIGHTS, cuts_line
+from gonio.fitting.result.verdict import WORDS
 
 if TYPE_CHECKING:
     from gonio.fitting.comparison.records import Comparison, Entry, Score
@@ -33,6 +35,7 @@ LARGE = 1e5  # from which a number is written with an exponent
     help="Models to compare, at least two.",
 )
 @sample_options
+@stated_error_options
 @constraint_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
               help="Seed of the random numbers.")  # fmt: skip
@@ -57,6 +60,8 @@ def command(
     selections: tuple[str, ...],
     max_theta_i: float | None,
     max_theta_r: float | None,
+    u_scale: str | None,
+    u_angle: float | None,
     fixes: tuple[str, ...],
     ties: tuple[str, ...],
     seed: int,
@@ -76,6 +81,7 @@ def command(
     from gonio.cli.progress import progress
     from gonio.models import resolve
 
+    stated = read_stated_errors(u_scale, u_angle)
     refuse_both(as_json, as_csv, as_latex)
     models = [resolve(name) for name in _names(model_names)]
     fixed, tied = _fixed(models, fixes), read_tied(ties)
@@ -95,6 +101,7 @@ def command(
             seed=seed,
             threads=threads,
             cuts=cuts,
+            **stated,
             progress=callback,
         )
     comparison = replace(comparison, source={**comparison.source, "input": str(source)})
@@ -155,6 +162,7 @@ def _print(comparison: Comparison, output: Path | None) -> None:
         click.echo(line)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("model", overflow="fold")
+    table.add_column("verdict", overflow="fold")
     table.add_column("P", justify="right", no_wrap=True)
     stated = comparison.weights == "sd"
     for heading in ("chi2/dof" if stated else "rel.chi2", "held-out", "LOO", "log Z"):
@@ -175,6 +183,8 @@ def _print(comparison: Comparison, output: Path | None) -> None:
     for note in comparison.notes:
         click.echo(f"note: {note}")
     for entry in comparison.entries:
+        if entry.verdict is not None:
+            click.echo(f"{entry.model}: {entry.verdict.line}")
         for note in entry.notes:
             click.echo(f"{entry.model}: {note}")
     if output is not None:
@@ -201,7 +211,8 @@ def _row(entry: Entry, unit: float, *, first: bool) -> list[str]:
     held_out = _difference(entry.held_out, first=first)
     ratio = f"{entry.chi2 / entry.dof / unit:.3g}"
     name = "\n  ".join([entry.model, *_remarks(entry)])
-    return [name, str(entry.n_parameters), ratio, held_out, loo, evidence]
+    verdict = "unknown" if entry.verdict is None else WORDS[entry.verdict.kind]
+    return [name, verdict, str(entry.n_parameters), ratio, held_out, loo, evidence]
 
 
 def _remarks(entry: Entry) -> list[str]:

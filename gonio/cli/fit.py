@@ -13,10 +13,11 @@ from gonio.cli.constraints import constraint_options, read_fixed, read_tied
 from gonio.cli.inputs import require_measured
 from gonio.cli.measured import read_samples, sample_options
 from gonio.cli.posteriors import posterior_options, read_priors
+from gonio.cli.stated_errors import read_stated_errors, stated_error_options
 from gonio.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from gonio.fitting.result import FitResult
+    from gonio.fitting.result import FitResult, Score
     from gonio.models import Model
     from gonio.samples import BRDFSamples
 
@@ -33,12 +34,13 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
 @click.option(
     "--model",
     "model_name",
-    required=True,
     metavar="MODEL",
     shell_complete=complete_model,
-    help="Model to fit: a name of 'gonio models', FILE.py or FILE.py:NAME.",
+    help="Model to fit: a name of 'gonio models', FILE.py or FILE.py:NAME. "
+    "A FIT.json with --score needs none.",
 )
 @sample_options
+@stated_error_options
 @click.option(
     "--share",
     metavar="NAME,...|all|none",
@@ -93,16 +95,30 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
     is_flag=True,
     help="Show how well the data determine each parameter, and where the residuals are large.",
 )
+@click.option(
+    "--score",
+    "scored",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Show how well the fit predicts the samples of FILE. INPUT may be a FIT.json.",
+)
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Exit with 1 unless the verdict is 'fits' or 'fits within the stated shared errors'.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
 @click.pass_context
 def command(
     ctx: click.Context,
     sources: tuple[Path, ...],
-    model_name: str,
+    model_name: str | None,
     weights: Any,
     selections: tuple[str, ...],
     max_theta_i: float | None,
     max_theta_r: float | None,
+    u_scale: str | None,
+    u_angle: float | None,
     share: str | None,
     starts: tuple[str, ...],
     fixes: tuple[str, ...],
@@ -118,19 +134,36 @@ def command(
     threads: int | None,
     output: Path | None,
     explained: bool,
+    scored: Path | None,
+    strict: bool,
     as_json: bool,
 ) -> None:
     """Fit MODEL to the BRDF samples of INPUT.
 
     INPUT is a session, a samples file, or any BRDF file that gonio reads. Several inputs are
     several materials, fitted together with --share. The exit code is 1 if the fit fails its own
-    checks.
+    checks: it has not converged, explains less than half of the variance of f, or predicts
+    unseen incidences worse than a constant.
     """
-    from gonio.cli import joint
+    from gonio.cli import joint, score
     from gonio.cli.options import check_target
     from gonio.cli.progress import progress
     from gonio.models import resolve
 
+    stated = read_stated_errors(u_scale, u_angle)
+
+    def score_by(result: FitResult) -> Score:
+        assert scored is not None
+        return score.score_file(result, scored, selections, threads, stated)
+
+    if scored is not None and score.is_fit(sources):
+        score.score_of_fit(ctx, sources[0], scored, score_by, strict=strict, as_json=as_json)
+        return
+    if model_name is None:
+        raise ConfigurationError(
+            "a fit needs --model MODEL, a name of 'gonio models' or a file; a FIT.json needs "
+            "--score FILE."
+        )
     model = resolve(model_name)
     start = _starts(model, starts) if starts else None
     fixed, tied = read_fixed(model, fixes), read_tied(ties)
@@ -179,6 +212,7 @@ def command(
             seed=seed,
             threads=threads,
             cuts=cuts,
+            **stated,
             progress=callback,
         )
 
@@ -191,13 +225,18 @@ def command(
     origin = str(sources[0]) if len(sources) == 1 else [str(source) for source in sources]
     result = joint.with_inputs(result, named)
     result = replace(result, source={**result.source, "input": origin, "truth": true})
+    found = None if scored is None else score_by(result)
+    if found is not None:
+        result = replace(result, diagnostics={**result.diagnostics, "score": found.to_dict()})
     if output is not None:
         result.save(output)
     if as_json:
         click.echo(result.to_json(), nl=False)
     else:
         _print(result, model, true, output, explained=explained)
-    if not result.ok:
+        if found is not None:
+            score.print_score(found)
+    if not result.ok or (strict and not (result.verdict and result.verdict.fits)):
         ctx.exit(1)
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 import gonio.models as models
 from gonio.errors import DataError
 from gonio.fitting.result import Estimate, FitResult
+from gonio.fitting.result.verdict import WORDS
 from gonio.plotting.frames import default_incidences, frames
 from gonio.plotting.lobe import in_plane, slices
 from gonio.plotting.posterior import corner
@@ -161,7 +162,7 @@ def _heading(
     title, second = _heading_text(fit, samples, session)
     part.text(0.012, 0.95, title, ha="left", va="top", fontsize=12, fontweight="bold")
     part.text(0.012, 0.42, second, ha="left", va="top", fontsize=8, color=GREY)
-    if fit is not None and not fit.ok:
+    if fit is not None and not fit.converged:
         stage = "the fit" if fit.status != "converged" else "the posterior"
         part.text(
             0.988, 0.95, f"{stage} has not converged", ha="right", va="top", fontsize=10,
@@ -186,8 +187,8 @@ def _heading_text(
     if fit is not None:
         title += f": {models.of_fit(fit).title}"
         facts += [f"{_grouped(fit.n_samples)} samples"]
-        if fit.weights == "sd":  # else chi-squared has a unit and cannot be judged by itself
-            facts.append(f"χ²/dof {_three_digits(fit.chi2 / fit.dof)}")
+        if fit.verdict is not None:
+            facts.append(f"verdict: {WORDS[fit.verdict.kind]}")
         if fit.posterior is not None:
             facts.append(f"posterior: {_grouped(fit.posterior.ess)} effective draws")
             facts.append(f"R-hat {fit.posterior.r_hat:.3f}")

@@ -48,6 +48,7 @@ def heading(inputs: Inputs, stated: Statement) -> Markup:
     return tag(
         "header",
         tag("h1", title(fit)),
+        _verdict(fit),
         tag("p", _status(fit), class_=f"status {'good' if fit.ok else 'bad'}"),
         tag("dl", *pairs),
         _warnings(fit),
@@ -60,6 +61,14 @@ def title(fit: FitResult) -> str:
     sample = fit.source.get("sample")
     name = str(sample).replace("_", " ") if sample else "BRDF samples"
     return f"{name}: {models.of_fit(fit).title}"
+
+
+def _verdict(fit: FitResult) -> Markup:
+    if fit.verdict is None:
+        return Markup("")
+    line = fit.verdict.line
+    good = "good" if fit.verdict.fits else "bad"
+    return tag("p", line[0].upper() + line[1:] + ".", class_=f"status {good}", id="verdict")
 
 
 def _status(fit: FitResult) -> str:
@@ -175,7 +184,8 @@ def goodness(fit: FitResult, residual: Residuals | None) -> list[Markup]:
         ("loss, engine", f"{fit.loss}, {fit.engine}"),
     ]
     if fit.weights == "sd" and fit.dof > 0:
-        rows.append(("χ² per degree of freedom", f"{fit.chi2 / fit.dof:.4g}"))
+        ratio = f"{fit.chi2 / fit.dof:.4g}"
+        rows.append(("χ² per degree of freedom, by the independent noise", ratio))
         rows.append(("factor on the independent uncertainties", f"{fit.noise_scale:.4g}"))
     else:  # without uncertainties it has a unit and cannot be judged by itself
         rows.append(("χ² per degree of freedom", None))

@@ -173,11 +173,11 @@ def _percent(x: Cell) -> str:
 
 def comparison_table(comparison: Comparison) -> Table:
     """The table of `gonio compare`, the best model first."""
-    names = ["model", "status", "n_parameters", "chi2", "dof"]
+    names = ["model", "verdict", "status", "n_parameters", "chi2", "dof"]
     names += [f"{score}_{part}" for score in ("held_out", "loo")
               for part in ("difference", "stderr")]  # fmt: skip
     names += ["log_evidence", "log_evidence_stderr"]
-    heads = ["model", "P", "chi2/dof", "held-out", "±", "LOO", "±", "log Z"]
+    heads = ["model", "verdict", "P", "chi2/dof", "held-out", "±", "LOO", "±", "log Z"]
     rows: list[list[Cell]] = []
     shown: list[list[str]] = []
     for entry in comparison.entries:
@@ -191,8 +191,10 @@ def comparison_table(comparison: Comparison) -> Table:
                 rounded(score.difference_stderr, score.difference_stderr),
             ]  # fmt: skip
         z, u = entry.log_evidence, entry.log_evidence_stderr
-        rows.append([entry.model, entry.status, entry.n_parameters, entry.chi2, entry.dof,
+        verdict = "unknown" if entry.verdict is None else entry.verdict.kind
+        rows.append([entry.model, verdict, entry.status, entry.n_parameters, entry.chi2, entry.dof,
                      *scores, z, u])  # fmt: skip
-        shown.append([entry.model, str(entry.n_parameters), f"{entry.chi2 / entry.dof:.3g}",
+        words = verdict.replace("_", " ")
+        shown.append([entry.model, words, str(entry.n_parameters), f"{entry.chi2 / entry.dof:.3g}",
                       *texts, "unknown" if z is None else rounded(z, u)])  # fmt: skip
     return Table(names, heads, rows, shown)

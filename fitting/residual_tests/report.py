@@ -16,19 +16,21 @@ Inference, sec. 4b.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from gonio.fitting.minimum.record import Minimum
-from gonio.fitting.problem.shared_columns import shared_columns, thinned
+from gonio.fitting.problem.losses import MAD_TO_SD
 from gonio.fitting.residual_tests.chi_squared import chi_squared_test
-from gonio.fitting.residual_tests.groups import (
-    MAPPED,
-    Grouping,
-    groupings_of,
+from gonio.fitting.residual_tests.group_residuals import (
+    GroupResidual,
+    group_residuals,
+    largest_groups,
 )
+from gonio.fitting.residual_tests.groups import MAPPED, groupings_of
+from gonio.fitting.residual_tests.misfit import ALARM, misfit_test_of
 from gonio.fitting.residual_tests.structure import (
     NEIGHBOURING,
     Test,
@@ -40,36 +42,11 @@ from gonio.fitting.residual_tests.whitened import (
     Whitened,
 )
 from gonio.fitting.result import plain
+from gonio.geometry import FloatArray
+from gonio.wording import counted
 
-ALARM = 0.01  # share of right models in which structure is reported
-MOST = 20_000  # samples that are examined: enough for any structure that matters
 DOMINATES = 0.5  # share of the residual variance above which the model makes the residuals
-MOST_GROUPS = 3  # that are reported
-
-
-@dataclass(frozen=True)
-class GroupResidual:
-    """Mean residual of a group of samples.
-
-    Parameters
-    ----------
-    where : str
-        In words.
-    theta_i_deg : float or None
-        Angle of incidence; None where all are taken together.
-    n : int
-    z : float
-        Sum of the residuals over its standard deviation under noise alone.
-    relative : float or None
-        Weighted mean of measured less fitted over that of the fitted values; None where the fitted
-        mean is not positive.
-    """
-
-    where: str
-    theta_i_deg: float | None
-    n: int
-    z: float
-    relative: float | None
+OUTLYING = 10.0  # typical residuals that single readings have by error, and hardly by noise
 
 
 @dataclass(frozen=True)
@@ -79,20 +56,28 @@ class ResidualReport:
     Parameters
     ----------
     known_noise : bool
-        Whether the samples state their uncertainty; otherwise chi2, dof and p_chi2 are None.
+        Whether the samples state their uncertainty; otherwise noise_factor, p_chi2 and noise are
+        None.
     n : int
         Samples that were examined, at most 20 000, evenly chosen.
-    chi2, dof : float, float
-        Of the residuals with the shared errors taken off; dof counts noise of the standard that
-        images share once.
+    noise_factor : float
+        Size of the residuals in units of the stated noise, shared errors taken off.
     p_chi2 : float
         Probability that noise gives a chi-squared at least so far on this side of its middle.
-    verdict : {"fits", "too large", "too small"} or None
-        Of chi-squared: too large or too small is said beyond 0.5 % on both sides together and
-        a factor of 1.25.
+    noise : {"as stated", "larger", "smaller"} or None
+        What chi-squared says of the stated noise: larger or smaller is said beyond 0.5 % on both
+        sides together and a factor of 1.25 in chi-squared.
+    outliers : int
+        Samples whose residuals are more than 10 typical ones.
     tests : tuple of Test
+        Groups of samples against the scatter inside them: where the structure is.
+    components : mapping of str to float
+        p-value of each kind of error of the model (`gonio.fitting.residual_tests.misfit`).
     p_structure : float
-        Smallest p-value times the number of tests, at most 1.
+        Their combination: the chance of such structure under a true model, errors that samples
+        share as large as stated; 1 where nothing can be tested.
+    p_independent : float
+        The same where all errors are independent noise.
     model_share : float
         Share of the residual variance that is error of the model: what the tests see, and where
         they see something also what chi-squared has beyond the stated noise.
@@ -102,7 +87,7 @@ class ResidualReport:
         Standard deviation of sums over groups in units of what noise alone would give; by so much
         uncertainties that count on noise may be too small. 1 where no structure was found.
     covered : bool
-        Whether that error is smaller than the stated errors that samples share.
+        Whether there is structure that the stated errors that samples share explain.
     largest : tuple of GroupResidual
         The groups that stand out, clearest first.
     maps : mapping of str to list of GroupResidual
@@ -111,12 +96,14 @@ class ResidualReport:
 
     known_noise: bool
     n: int
-    chi2: float | None
-    dof: float | None
+    noise_factor: float | None
     p_chi2: float | None
-    verdict: str | None
+    noise: str | None
+    outliers: int
     tests: tuple[Test, ...]
+    components: Mapping[str, float]
     p_structure: float
+    p_independent: float
     model_share: float
     model_error: float | None
     noise_ratio: float
@@ -138,22 +125,38 @@ class ResidualReport:
     @property
     def line(self) -> str:
         """The finding in one line."""
-        if not self.tests:
+        if not self.components:
             return "residuals: none beyond rounding, or too few samples to look for structure"
-        if not self.structured:
-            return f"residuals: no structure beyond noise ({_p(self.p_structure)})"
-        covered = ", smaller than the stated shared errors" if self.covered else ""
-        return (
-            f"residuals: structure beyond noise ({_p(self.p_structure)}), "
-            f"{100 * self.model_share:.0f} % of their variance{covered}"
-        )
+        if self.covered:
+            return "residuals: structure beyond noise, which the stated shared errors explain"
+        if self.structured:
+            return (
+                f"residuals: structure beyond noise ({_p(self.p_structure)}), "
+                f"{100 * self.model_share:.0f} % of their variance"
+            )
+        if self.outliers:
+            return (
+                f"residuals: {counted(self.outliers, 'sample')} off by more than "
+                f"{OUTLYING:.0f} times the typical residual, no structure in the others"
+            )
+        if self.noise == "larger":
+            return (
+                f"residuals: {self.noise_factor:.2g} times as large as the stated noise, without "
+                "structure that the tests find"
+            )
+        return f"residuals: no structure beyond noise ({_p(self.p_structure)})"
 
     @property
     def warnings(self) -> list[str]:
         """What a reader must know; nothing where noise explains the residuals."""
+        return self.warnings_of_model + self.warnings_of_noise
+
+    @property
+    def warnings_of_model(self) -> list[str]:
+        """Where the error of the model is, if there is structure."""
         sentences = []
-        if self.structured and not self.covered:
-            where = "; ".join(_in_words(group) for group in self.largest)
+        if self.structured:
+            where = "; ".join(group.sentence for group in self.largest)
             cause = "the model, not the noise, dominates: its error makes up"
             if self.model_share < DOMINATES:
                 cause = "the model does not hold everywhere: its error makes up"
@@ -164,31 +167,35 @@ class ResidualReport:
                 + ". The stated uncertainties hold only for the best-fitting surface of this "
                 "family of models."
             )
-        if self.verdict == "too small":
-            assert self.chi2 is not None
-            assert self.dof
+        return sentences
+
+    @property
+    def warnings_of_noise(self) -> list[str]:
+        """Whether the stated noise is that of the residuals."""
+        sentences = []
+        if self.noise == "smaller":
             sentences.append(
-                f"chi2/dof is {self.chi2 / self.dof:.3g}, too small for the stated noise "
-                f"({_p(self.p_chi2 or 0.0)}): u_brdf is too large, or the samples were "
+                f"the residuals are only {self.noise_factor:.2g} times as large as the stated "
+                f"noise ({_p(self.p_chi2 or 0.0)}): u_brdf is too large, or the samples were "
                 "smoothed or are not independent."
             )
-        elif self.verdict == "too large" and not self.structured:
-            assert self.chi2 is not None
-            assert self.dof
+        elif self.noise == "larger" and not (self.structured or self.covered):
             sentences.append(
-                f"chi2/dof is {self.chi2 / self.dof:.3g}, too large for the stated noise "
-                f"({_p(self.p_chi2 or 0.0)}), and the residuals have no structure: u_brdf is "
-                "probably too small."
+                f"the residuals are {self.noise_factor:.2g} times as large as the stated noise "
+                f"({_p(self.p_chi2 or 0.0)}) and have no structure: u_brdf is probably too small, "
+                "or single readings are wrong."
             )
         return sentences
 
 
-def examine(minimum: Minimum) -> ResidualReport:
+def examine(minimum: Minimum, base: Base | None = None) -> ResidualReport:
     """Examine the residuals of a fit.
 
     Parameters
     ----------
     minimum : Minimum
+    base : Base, optional
+        Its values and derivatives, where they are at hand.
 
     Examples
     --------
@@ -204,15 +211,15 @@ def examine(minimum: Minimum) -> ResidualReport:
     >>> examine(Minimum.of(problem, minimise(problem, np.array([0.5])))).structured
     False
     """
-    problem, optimum = thinned(minimum.problem, MOST), minimum.optimum
-    f, jacobian = problem.jacobian(optimum.p)
-    informed = optimum.free & (np.diag(optimum.curvature) > 0)
-    base = Base(problem, f, jacobian[:, informed], shared_columns(problem, optimum.p, f))
+    base = Base.of(minimum) if base is None else base
+    problem = base.problem
     left = Whitened.of(base)
-    chi2 = dof = p_chi2 = verdict = None
+    factor = p_chi2 = noise = None
     known_noise = problem.weights == "sd"
     if known_noise:
-        chi2, dof, p_chi2, verdict = chi_squared_test(base)
+        chi2, dof, p_chi2, noise = chi_squared_test(base)
+        factor = float(np.sqrt(chi2 / max(dof, 1.0)))
+    misfit = misfit_test_of(base)
     tests: list[Test] = []
     groupings = groupings_of(problem) if left is not None else {}
     for name, grouping in groupings.items():
@@ -224,76 +231,59 @@ def examine(minimum: Minimum) -> ResidualReport:
         neighbours = neighbour_test(problem, left)
         if neighbours is not None:
             tests.append(neighbours)
-    p = min(1.0, max(len(tests), 1) * min((test.p_value for test in tests), default=1.0))
+    structured = misfit is not None and misfit.structured
+    alone = misfit_test_of(base, shared=False) if base.shared.shape[1] else misfit
+    covered = not structured and alone is not None and alone.structured
     share, ratio, largest = 0.0, 1.0, []
-    if left is not None and p < ALARM:
+    if left is not None and structured:
         significant = [test for test in tests if test.p_value * len(tests) < ALARM]
-        share = max(test.share for test in significant)
-        if chi2 is not None and dof is not None and chi2 > dof:
-            share = max(share, 1 - dof / chi2)
+        share = max((test.share for test in significant or tests), default=0.0)
+        if factor is not None and factor > 1:
+            share = max(share, 1 - 1 / factor**2)
         significant = [test for test in significant if test.name != NEIGHBOURING]
         ratio = max((float(np.sqrt(test.statistic)) for test in significant), default=1.0)
-        largest = _largest(left, groupings, significant)
+        largest = largest_groups(left, groupings, significant)
     maps = {
-        name: _group_residuals(left, groupings[name])
+        name: group_residuals(left, groupings[name])
         for name in MAPPED
         if left is not None and name in groupings
     }
     error = None
     if left is not None and share > 0 and left.mean > 0:
         error = float(np.sqrt(share * left.variance) / left.mean)
-    covered = left is not None and share * float(np.mean(left.z**2)) < left.stated
     return ResidualReport(
-        known_noise, problem.n, chi2, dof, p_chi2, verdict, tuple(tests), p, share, error,
+        known_noise, problem.n, factor, p_chi2, noise, 0 if left is None else outlying(left.z),
+        tuple(tests), {} if misfit is None else misfit.components,
+        1.0 if misfit is None else misfit.p, 1.0 if alone is None else alone.p, share, error,
         max(ratio, 1.0), covered, tuple(largest), maps,
     )  # fmt: skip
 
 
-def _group_residuals(left: Whitened, grouping: Grouping) -> list[GroupResidual]:
-    """Every group with its mean residual, in the order of the grouping."""
-    inside = grouping.group >= 0
-    k = len(grouping.words)
-    number = grouping.group[inside]
-    weight = left.root[inside] ** 2
-    noise = np.sqrt(max(float(left.z @ left.z) / left.dof, 1e-300))
-    counts = np.bincount(number, minlength=k)
-    z = np.bincount(number, weights=left.z[inside], minlength=k)
-    above = np.bincount(number, weights=weight * left.residual[inside], minlength=k)
-    below = np.bincount(number, weights=weight * left.f[inside], minlength=k)
-    return [
-        GroupResidual(
-            grouping.words[g],
-            grouping.theta_i_deg[g],
-            int(counts[g]),
-            round(float(z[g] / (noise * np.sqrt(counts[g]))), 3),
-            # Of a model that is almost 0 no residual is a share.
-            float(f"{above[g] / below[g]:.3g}") if below[g] > 1e-12 * abs(above[g]) else None,
+def examine_parts(minimum: Minimum, base: Base) -> list[ResidualReport]:
+    """Examine the residuals of each part of a joint fit; of a fit to one BRDF the whole.
+
+    `base` is that of the whole.
+    """
+    if len(minimum.problem.pieces()) == 1:
+        return [examine(minimum, base)]
+    optimum = minimum.optimum
+    reports = []
+    for piece, _, index in minimum.problem.pieces():
+        own = replace(
+            optimum,
+            p=optimum.p[index],
+            gradient=optimum.gradient[index],
+            curvature=optimum.curvature[np.ix_(index, index)],
+            free=optimum.free[index],
         )
-        for g in range(k)
-    ]
+        reports.append(examine(minimum.at(piece, own)))
+    return reports
 
 
-def _largest(
-    left: Whitened, groupings: Mapping[str, Grouping], significant: list[Test]
-) -> list[GroupResidual]:
-    """The groups that stand out most in the test that sees most of the structure."""
-    if not significant:
-        return []
-    best = max(significant, key=lambda test: test.share)
-    groups = _group_residuals(left, groupings[best.name])
-    groups.sort(key=lambda group: -abs(group.z))
-    return [group for group in groups[:MOST_GROUPS] if abs(group.z) > 3]
-
-
-def _in_words(group: GroupResidual) -> str:
-    """A group as part of a sentence."""
-    side = "low" if group.z > 0 else "high"
-    by = ""
-    if group.relative is not None:
-        by = f" by {100 * abs(group.relative):.2g} %"
-    at = "" if group.theta_i_deg is None else f"at theta_i = {group.theta_i_deg:.0f} deg"
-    where = " ".join(part for part in (group.where, at) if part)
-    return f"too {side}{by} {where}"
+def outlying(z: FloatArray) -> int:
+    """How many residuals are more than ten typical ones."""
+    typical = MAD_TO_SD * float(np.median(np.abs(z)))
+    return int(np.count_nonzero(np.abs(z) > OUTLYING * typical)) if typical > 0 else 0
 
 
 def _p(p: float) -> str:

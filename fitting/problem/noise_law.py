@@ -1,0 +1,173 @@
+"""Stated noise that was computed from the readings themselves, such as 2 % of each.
+
+A reading that is low by chance then has a small uncertainty and too much weight: a fit is biased by
+about -2 r^2 of f where the noise is r f, and its residuals look like an error of the model. Where
+u_brdf follows the readings, weights are taken from the same law at the fitted values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.geometry import FloatArray
+
+LEAST = 12  # samples from which a law can be told
+EXPLAINS = 0.02  # rms deviation, beyond rounding, up to which a law is that of u_brdf
+BETTER = 3.0  # times that the law in the readings fits better than the same law in f
+NOTICEABLE = 0.003  # rms deviation of the law in f below which the two are the same
+MOST_OUTSIDE = 0.1  # share of readings, at a floor or a limit, that may not follow the law
+TINY = 1e-100  # sr^-1: values whose squares would vanish
+SAME = 1e-4  # rms deviation below which laws are equally good
+ROUNDS = 20  # in which the place of u within its rounding follows the law
+TERMS = [[0], [2], [1], [0, 2], [0, 1], [1, 2], [0, 1, 2]]  # simplest laws first
+MOST_DIGITS = 4  # digits of u_brdf that are looked for; more are no rounding
+
+
+@dataclass(frozen=True)
+class NoiseLaw:
+    """Variance of a reading whose expectation is f: constant + linear |f| + square f^2.
+
+    Parameters
+    ----------
+    constant, linear, square : float
+        Not negative; sr^-2, sr^-1 and 1.
+    """
+
+    constant: float
+    linear: float
+    square: float
+
+    def variance(self, f: FloatArray) -> FloatArray:
+        """Variance where expectations are f, (N,)."""
+        f = np.abs(f)
+        return np.asarray(self.constant + self.linear * f + self.square * f**2)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a JSON document."""
+        return {**asdict(self), "text": self.text}
+
+    @property
+    def text(self) -> str:
+        """The law in words.
+
+        Examples
+        --------
+        >>> NoiseLaw(0.0, 0.0, 0.0004).text
+        '2 % of each reading'
+        """
+        parts = []
+        if self.square > 0:
+            parts.append(f"{100 * self.square**0.5:.2g} % of each reading")
+        if self.linear > 0:
+            parts.append(f"{self.linear**0.5:.2g} times the root of each reading")
+        if self.constant > 0:
+            parts.append(f"{self.constant**0.5:.2g} sr^-1")
+        return " and ".join(parts)
+
+
+def laws_in_words(laws: Sequence[NoiseLaw | None]) -> list[str]:
+    """A sentence where stated uncertainties follow the readings, of one part or more.
+
+    Examples
+    --------
+    >>> print(laws_in_words([NoiseLaw(0.0, 0.0, 0.0004)])[0])
+    u_brdf was computed from the readings (2 % of each reading), which would give low readings too much weight: the weights follow the fitted values.
+    """  # noqa: E501
+    known = [law for law in laws if law is not None]
+    if not known:
+        return []
+    where = "" if len(laws) == 1 else f"in {len(known)} of {len(laws)} parts "
+    first = "" if len(laws) == 1 else "first: "
+    return [
+        f"{where}u_brdf was computed from the readings ({first}{known[0].text}), which would give "
+        "low readings too much weight: the weights follow the fitted values."
+    ]
+
+
+def noise_law(value: FloatArray, u: FloatArray, f: FloatArray) -> NoiseLaw | None:
+    """The law by which the stated uncertainty was computed from the readings, or None.
+
+    It is a non-negative fit of u^2 on 1, |y| and y^2. The readings it is that u follows where that
+    law gives u to within 2 % beyond its rounding, and the same law in f gives it three times worse.
+
+    Parameters
+    ----------
+    value, u, f : ndarray, shape (N,)
+        Readings, stated uncertainties and fitted values.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> f = np.linspace(0.1, 1, 50)
+    >>> y = f * (1 + 0.05 * rng.standard_normal(50))
+    >>> noise_law(y, 0.05 * y, f).text
+    '5 % of each reading'
+    >>> noise_law(y, 0.05 * f, f) is None
+    True
+    """
+    if len(value) < LEAST or not np.all(u > 0) or not np.any(value):
+        return None
+    quantum = rounding(u)
+    law, by_reading = _fitted(value, u, quantum)
+    _, by_model = _fitted(f, u, quantum)
+    if by_reading > EXPLAINS or by_model < max(BETTER * by_reading, NOTICEABLE):
+        return None
+    return law if law.linear + law.square > 0 else None
+
+
+def rounding(u: FloatArray) -> FloatArray:
+    """Step in which each uncertainty was rounded, (N,): to digits or decimals; 0 where to neither.
+
+    Examples
+    --------
+    >>> rounding(np.array([0.02, 0.3])).tolist(), rounding(np.array([0.021, 0.3])).tolist()
+    ([0.01, 0.1], [0.001, 0.001])
+    """
+    power = np.floor(np.log10(u) + 1e-9)
+    for digits in range(1, MOST_DIGITS + 1):
+        by_digits = 10.0 ** (power - digits + 1)
+        by_decimals = np.full(len(u), 10.0 ** (np.max(power) - digits + 1))
+        for step in (by_digits, by_decimals):
+            if np.all(np.abs(u / step - np.round(u / step)) < 1e-6 * np.maximum(u / step, 1.0)):
+                return step
+    return np.zeros(len(u))
+
+
+def _fitted(x: FloatArray, u: FloatArray, quantum: FloatArray) -> tuple[NoiseLaw, float]:
+    """The simplest law in x, and its rms deviation from u relative to u, beyond rounding."""
+    laws = [_least_squares(x, u, quantum, terms) for terms in TERMS]
+    best = min(rms for _, rms in laws)
+    return next(found for found in laws if found[1] <= max(2 * best, SAME))
+
+
+def _least_squares(
+    x: FloatArray, u: FloatArray, quantum: FloatArray, terms: list[int]
+) -> tuple[NoiseLaw, float]:
+    """The law of these terms by relative least squares, u anywhere within its rounding."""
+    from scipy.optimize import nnls
+
+    x = np.abs(x)
+    largest = float(np.max(x))
+    unit = largest if largest > TINY else 1.0
+    design = np.column_stack([np.ones(len(x)), x / unit, (x / unit) ** 2])[:, terms]
+    kept: NDArray[np.bool_] = np.ones(len(x), bool)
+    target, off, solution = u, np.zeros(len(x)), np.zeros(len(terms))
+    for _ in range(ROUNDS if quantum.any() else 3):
+        relative = design[kept] / (target[kept] ** 2)[:, None]
+        solution, _ = nnls(relative, np.ones(int(np.count_nonzero(kept))))
+        by_law = np.sqrt(design @ solution)
+        target = np.clip(by_law, u - 0.51 * quantum, u + 0.51 * quantum)
+        off = np.abs(by_law - target) / u
+        # A few readings at a floor or a limit do not hide the law.
+        kept = off <= max(5 * float(np.median(off)), EXPLAINS)
+    if np.mean(kept) < 1 - MOST_OUTSIDE:
+        return NoiseLaw(0.0, 0.0, 0.0), np.inf
+    coefficients = np.zeros(3)
+    coefficients[terms] = solution / np.array([1.0, unit, unit**2])[terms]
+    law = NoiseLaw(*(float(c) for c in coefficients))
+    return law, float(np.sqrt(np.mean(off[kept] ** 2)))

@@ -1,0 +1,207 @@
+"""How well a fit predicts samples that it has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gonio.errors import ConfigurationError
+from gonio.fitting.result.noncentrality import noncentrality
+from gonio.fitting.result.prediction import predict
+from gonio.fitting.result.record import FitRecord
+from gonio.fitting.result.verdict import WORDS, Class
+from gonio.geometry import FloatArray, rotated
+from gonio.models import Model
+from gonio.samples import BRDFSamples, SharedTerm
+
+TOLERANCE = 0.01  # of f: error up to which a prediction holds
+ALARM = 0.01  # chance below which an error is seen
+HIDDEN = 0.2  # of f: an error that the noise may hide and that leaves all undecided
+WORSE = 2.0  # times that a fit may err more than on its own samples where no noise is stated
+FEW = 8  # samples that decide nothing
+
+
+@dataclass(frozen=True)
+class Score:
+    """A fit against samples of another file.
+
+    Parameters
+    ----------
+    kind : {"fits", "fits_within_shared", "does_not_fit", "undecided"}
+        The class, as of a verdict; "class" in documents.
+    n : int
+        Samples that were predicted.
+    typical_error : float
+        Typical error of the prediction as a fraction of f, the noise of the samples taken off
+        where they state it.
+    interval : tuple of float
+        95 % interval of `typical_error`.
+    bias : float
+        Mean of measured less predicted as a fraction of f.
+    chi2, dof : float or None
+        Of the residuals with the noise of the samples, their shared errors and the uncertainty of
+        the prediction; None where no noise is stated.
+    p : float or None
+        Chance of a chi-squared as large.
+    reason : str
+        In words, without the class.
+    """
+
+    kind: Class
+    n: int
+    typical_error: float
+    interval: tuple[float, float]
+    bias: float
+    chi2: float | None
+    dof: int | None
+    p: float | None
+    reason: str
+
+    @property
+    def line(self) -> str:
+        """The score in one line."""
+        return f"prediction: {WORDS[self.kind]}: {self.reason}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a JSON document."""
+        return {
+            "class": self.kind,
+            "n_samples": self.n,
+            "typical_error": self.typical_error,
+            "interval": list(self.interval),
+            "bias": self.bias,
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "p": self.p,
+            "reason": self.reason,
+        }
+
+
+def score(record: FitRecord, model: Model, samples: BRDFSamples) -> Score:
+    """Compare the predictions of a fit with samples.
+
+    Parameters
+    ----------
+    record : FitRecord
+        Of a fit to one BRDF.
+    model : Model
+    samples : BRDFSamples
+        Of one wavelength and channel; cells count by their centroids.
+
+    Raises
+    ------
+    ConfigurationError
+        If the fit is a joint one, or the samples are none.
+    """
+    if not isinstance(samples, BRDFSamples):
+        raise ConfigurationError(
+            f"a fit is scored by BRDF samples, not by {type(samples).__name__}; read a file with "
+            "gonio.formats.read(file)."
+        )
+    f = np.broadcast_to(predict(record, model, samples.directions).value, (len(samples),))
+    residual = samples.value - f
+    bias = float(residual @ f / max(float(f @ f), 1e-300))
+    if samples.u_independent is None:
+        return _without_noise(record, f, residual, bias)
+    by_fit = _prediction_columns(record, model, samples)
+    u = samples.u_independent
+    alone = _against_noise(f, residual, u, by_fit, bias)
+    if alone.kind == "fits" or not samples.shared:
+        return alone
+    p = model.vector(record.values())
+    shared = [t.columns(_change(t, model, samples, p, f)).toarray() for t in samples.shared]
+    within = _against_noise(f, residual, u, np.column_stack([by_fit, *shared]), bias)
+    if within.kind != "fits":
+        return within
+    return Score(**{**within.__dict__, "kind": "fits_within_shared"})
+
+
+def _against_noise(
+    f: FloatArray, residual: FloatArray, u: FloatArray, columns: FloatArray, bias: float
+) -> Score:
+    """Residuals against stated noise, and errors with the covariance `columns` columns^T."""
+    from scipy import stats
+
+    v = columns / u[:, None]
+    inner = np.linalg.inv(np.eye(v.shape[1]) + v.T @ v)
+    z = residual / u
+    across = v.T @ z
+    chi2, n = max(float(z @ z - across @ inner @ across), 0.0), len(f)
+    information = max(float(np.sum((f / u) ** 2)), 1e-300)
+    # What noise and the other errors are expected to add to the squares is taken off.
+    beyond = float(z @ z) - float(np.sum(v**2))
+    size = float(np.sqrt(max(beyond - n, 0.0) / information))
+    low, high = (float(np.sqrt(x / information)) for x in noncentrality(beyond, n))
+    p = float(stats.chi2.sf(chi2, n))
+    kind, reason = _class(p, size, high, n)
+    return Score(kind, n, size, (low, high), bias, chi2, n, p, reason)
+
+
+def _class(p: float, size: float, upper: float, n: int) -> tuple[Class, str]:
+    if p >= ALARM and n < FEW:
+        return "undecided", f"{n} samples cannot tell a right prediction from a wrong one"
+    if p >= ALARM and upper > HIDDEN:
+        return "undecided", f"the noise may hide an error of {_per_cent(upper)} of f"
+    if p >= ALARM:
+        return "fits", f"no error of the prediction beyond {_per_cent(upper)} of f"
+    if upper <= TOLERANCE:
+        return "fits", f"typically off by {_per_cent(size)} of f"
+    if size <= TOLERANCE:
+        return "undecided", f"an error of {_per_cent(size)} of f or so is seen"
+    return "does_not_fit", f"typically off by {_per_cent(size)} of f"
+
+
+def _without_noise(record: FitRecord, f: FloatArray, residual: FloatArray, bias: float) -> Score:
+    """Residuals beside those of the fit, where the samples state no noise."""
+    n = len(f)
+    floor = 1e-3 * float(np.mean(f**2))
+    size = float(np.sqrt(np.mean(residual**2 / np.maximum(f**2, floor))))
+    own = None if record.verdict is None else record.verdict.interval
+    text = f"all residuals are {_per_cent(size)} of f, and no noise is stated"
+    kind: Class = "undecided"
+    if size <= TOLERANCE:
+        kind = "fits"
+    elif own is not None and n >= FEW and size > WORSE * own[1]:
+        kind = "does_not_fit"
+        text += f"; on its own samples the fit is off by {_per_cent(own[1])}"
+    return Score(kind, n, size, (0.0, size), bias, None, None, None, text)
+
+
+def _prediction_columns(record: FitRecord, model: Model, samples: BRDFSamples) -> FloatArray:
+    """Columns whose products are the covariance that the fit's parameters give the predictions."""
+    if record.covariance is None:
+        return np.zeros((len(samples), 0))
+    w_i, w_r = samples.directions.vectors()
+    _, jacobian = model.gradient(w_i, w_r, model.vector(record.values()))
+    jacobian = np.broadcast_to(jacobian, (len(samples), jacobian.shape[-1]))
+    values, vectors = np.linalg.eigh(np.asarray(record.covariance))
+    return np.asarray(jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+
+def _change(
+    term: SharedTerm, model: Model, samples: BRDFSamples, p: FloatArray, f: FloatArray
+) -> FloatArray:
+    """Change of the predictions by one standard deviation of a shared error."""
+    n = len(samples)
+    w_i, w_r = (np.broadcast_to(w, (n, 3)) for w in samples.directions.vectors())
+    if term.shift is not None:
+        ends = [_unit(w_r + side * term.shift) for side in (1, -1)]
+        there = [model.evaluate(np.ascontiguousarray(w_i), end, p) for end in ends]
+    elif term.turn:
+        turned = [[np.ascontiguousarray(rotated(w, -side * term.turn)) for w in (w_i, w_r)]
+                  for side in (1, -1)]  # fmt: skip
+        there = [model.evaluate(*pair, p) for pair in turned]
+    else:
+        return term.change(f)
+    change = (there[0] - there[1]) / 2
+    return np.asarray(change if term.profile is None else change * term.profile)
+
+
+def _unit(w: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(w / np.linalg.norm(w, axis=1, keepdims=True))
+
+
+def _per_cent(fraction: float) -> str:
+    return f"{100 * fraction:.2g} %" if fraction < 1 else f"{100 * fraction:.0f} %"

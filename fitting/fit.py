@@ -27,7 +27,7 @@ from gonio.fitting.problem.losses import CHI2, Loss
 from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
-from gonio.fitting.residual_tests.verdict import misfit_beyond_shared
+from gonio.fitting.residual_tests.verdict import misfit_beyond_shared, verdict_of
 from gonio.fitting.result import FitResult, PosteriorSummary, plain
 from gonio.fitting.screening import screened
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
@@ -246,6 +246,8 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     for name, carried in support.items():
         estimates[name] = replace(estimates[name], established=not carried.reasons)
     verdict, diagnostics, residual_warnings = diagnose(squares)
+    if not problem.quadratic:
+        verdict = verdict_of(minimum)  # of all residuals, also those that the loss hardly sees
     shared_errors = nuisance_estimates(minimum)
     warnings = warnings_of(minimum, errors) + minimum.warnings
     warnings += condensed(undetected + bound_warnings)

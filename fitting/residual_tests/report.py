@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from gonio.fitting.minimum.record import Minimum
-from gonio.fitting.problem.losses import MAD_TO_SD
 from gonio.fitting.residual_tests.chi_squared import chi_squared_test
 from gonio.fitting.residual_tests.group_residuals import (
     GroupResidual,
@@ -46,6 +45,7 @@ from gonio.geometry import FloatArray
 from gonio.wording import counted
 
 DOMINATES = 0.5  # share of the residual variance above which the model makes the residuals
+MAD_TO_SD = 1.4826  # of normal noise, from the median of its absolute values
 OUTLYING = 10.0  # typical residuals that single readings have by error, and hardly by noise
 
 

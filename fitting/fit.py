@@ -55,7 +55,7 @@ def fit(
     nuisance: Nuisance = "none",
     posterior: bool = False,
     draws: str | Path | None = None,
-    sampler: Literal["auto", "marginal", "emcee"] = "auto",
+    sampler: Literal["emcee", "marginal", "auto"] = "emcee",
     priors: Mapping[str, str | Prior] | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -90,7 +90,8 @@ def fit(
         unknown, within the bounds of both.
     engine : str
         What searches for the minimum before the Gauss-Newton steps in which every fit ends:
-        "gauss_newton" (nothing else), "slsqp", "lbfgs", "mma", "bobyqa", "sbplx" or "mlsl".
+        one of nlopt's algorithms, "lbfgs", "slsqp", "mma", "bobyqa", "sbplx" or "mlsl", or
+        "gauss_newton" for no search.
     loss : {"chi2", "log", "cube_root", "relative", "student_t"}
         What is made small: the sum of squared weighted residuals, squared differences of
         ln(1 + f cos theta_r), of (f cos theta_r)^(1/3) or of ln f, or Student's t, which outliers
@@ -102,9 +103,9 @@ def fit(
         Sample the posterior; its quantiles become the intervals.
     draws : path, optional
         Where to write the draws and what they predict (netCDF, as arviz opens it).
-    sampler : {"auto", "marginal", "emcee"}
-        The posterior's sampler; emcee takes over where the guard of the quicker marginal sampler
-        refuses it.
+    sampler : {"emcee", "marginal", "auto"}
+        The posterior's sampler. "auto" and "marginal" try the quicker marginal sampler first, and
+        emcee takes over where its guard refuses it; "marginal" warns of it.
     priors : mapping of str to str, optional
         Priors in place of those that parameters declare, angles in radians: "flat", "log",
         "normal(mean, sd)", "lognormal(median, factor)" or "half_normal(sd)". They change the
@@ -177,15 +178,15 @@ def fit(
     if share is None:
         resolve(chosen.parameters, priors)  # before anything takes long
     searched_by, law = engines.get(engine, seed), losses.get(loss)
-    _check_combination(law, posterior, share is not None or nuisance != "none", engine)
+    _check_combination(law, posterior, share is not None or nuisance != "none")
     options: dict[str, Any] = {"weights": weights, "start": start, "threads": threads}
-    options["constraints"] = held
+    options |= {"constraints": held, "engine": searched_by}
     if share is None:
-        options |= {"engine": searched_by, "loss": loss}
+        options["loss"] = loss
     screening = screened(samples)
     stated = _with_shared_errors(screening.samples, u_scale=u_scale, u_angle=u_angle)
     minimum = _minimum(stated, chosen, share, **options)
-    minimum = profiled(minimum, profiled_terms(minimum.problem.samples, nuisance))
+    minimum = profiled(minimum, profiled_terms(minimum.problem.samples, nuisance), searched_by)
     chain = None
     if posterior:
         minimum, chain = sampled(minimum, priors, seed=seed, sampler=sampler, progress=progress)
@@ -294,8 +295,8 @@ def _convergence_warnings(chain: Chain, summary: PosteriorSummary) -> list[str]:
     ]
 
 
-def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -> None:
-    """Refuse what one loss or engine cannot do.
+def _check_combination(law: Loss, posterior: bool, several: bool) -> None:
+    """Refuse what a loss cannot do.
 
     Raises
     ------
@@ -307,11 +308,11 @@ def _check_combination(law: Loss, posterior: bool, several: bool, engine: str) -
             "use loss chi2 or student_t.",
             value=law.name,
         )
-    if several and (law is not CHI2 or engine != engines.DEFAULT):
+    if several and law is not CHI2:
         raise ConfigurationError(
-            f"share and nuisance need loss {CHI2.name!r} and engine {engines.DEFAULT!r}, not "
-            f"{law.name!r} and {engine!r}; change these, or leave share and nuisance out.",
-            value=(law.name, engine),
+            f"share and nuisance need loss {CHI2.name!r}, not {law.name!r}; change it, or leave "
+            "share and nuisance out.",
+            value=law.name,
         )
 
 

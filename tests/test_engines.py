@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,13 @@ import gonio
 from gonio import models
 from gonio.errors import ConfigurationError
 from gonio.fitting.minimum import engines
+from gonio.fitting.minimum import minimise as minimise_module
 from gonio.fitting.minimum.minimise import minima
+from gonio.fitting.minimum.search_objective import Objective
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.single import SingleProblem
 from gonio.geometry import Directions
-from gonio.samples import BRDFSamples
+from gonio.samples import BRDFSamples, SharedTerm
 
 TRUTHS = {
     "ward": (0.15, 0.19, 0.088, 0.13),
@@ -48,12 +52,16 @@ def test_all_engines_find_one_minimum(name):
 @pytest.mark.parametrize("engine", engines.ENGINES)
 def test_the_result_names_its_engine(engine):
     result = gonio.fit(samples_of("ward"), model="ward", engine=engine)
-    assert result.engine == engine
+    assert (result.engine, result.polish) == (engine, "gauss_newton")
+    if engine == engines.NO_SEARCH:
+        assert "engine: Gauss-Newton\n" in str(result)
+    else:
+        assert f"engine: nlopt {engine}, then Gauss-Newton\n" in str(result)
     assert result.status == "converged"
     np.testing.assert_allclose(list(result.values().values())[:2], TRUTHS["ward"][:2], rtol=0.02)
 
 
-@pytest.mark.parametrize("engine", [name for name in engines.ENGINES if name != engines.DEFAULT])
+@pytest.mark.parametrize("engine", [name for name in engines.ENGINES if name != engines.NO_SEARCH])
 def test_an_engine_alone_comes_near_the_minimum(engine):
     """The Gauss-Newton steps that follow would hide an engine that does nothing."""
     problem = SingleProblem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
@@ -94,3 +102,66 @@ def test_a_failure_of_nlopt_keeps_the_best_point(monkeypatch):
         monkeypatch.setattr(nlopt.opt, "optimize", lambda *_, e=error: (_ for _ in ()).throw(e))
         result = gonio.fit(samples_of("ward", 200), model="ward", engine="slsqp")
         assert result.status == "converged"
+
+
+def two_sheets():
+    """Two materials with the widths of one, and a common error of the standard."""
+    sheets = []
+    for seed, factor in ((1, 1.0), (2, 1.6)):
+        samples = samples_of("ward", 300, seed=seed)
+        f = factor * samples.value
+        term = SharedTerm("standard", "reflectance of the standard", relative=0.01)
+        sheets.append(replace(samples, value=f, u_independent=0.01 * f + 1e-3, shared=(term,)))
+    return sheets
+
+
+@pytest.mark.parametrize("engine", ["lbfgs", "bobyqa", "mlsl"])
+def test_joint_fits_and_shared_errors_take_every_engine(engine):
+    """Each leads where Gauss-Newton steps alone lead."""
+    sheets = two_sheets()
+    for options in (
+        {"samples": sheets, "share": "alpha_x,alpha_y"},
+        {"samples": sheets[0], "nuisance": "all"},
+    ):
+        searched = gonio.fit(model="ward", engine=engine, **options)
+        alone = gonio.fit(model="ward", engine=engines.NO_SEARCH, **options)
+        assert (searched.engine, searched.status) == (engine, "converged")
+        assert searched.chi2 == pytest.approx(alone.chi2, rel=1e-6)
+        for name, estimate in alone.parameters.items():
+            shift = searched.parameters[name].value - estimate.value
+            assert abs(shift) < 1e-2 * estimate.stderr
+
+
+def test_the_deeper_end_is_taken(monkeypatch):
+    """Where a search ends in another valley than Gauss-Newton steps from the same start do."""
+    samples = samples_of("ward", 300)
+    problem = SingleProblem.from_samples(samples, models.get("ward"), threads=1)
+    best = minima(problem)[0]
+    astray = np.array([0.2, 0.0, 1.9, 1.9])  # no lobe at all
+    found = minima(problem, lambda problem, start: (astray, 1))
+    assert found[0].chi2 == pytest.approx(best.chi2, rel=1e-9)
+    # And the other way round: the start of the steps is astray, the search is not.
+    monkeypatch.setattr(minimise_module, "starts", lambda problem, n=None: [astray])
+    found = minima(problem, lambda problem, start: (best.p, 1))
+    assert found[0].chi2 == pytest.approx(best.chi2, rel=1e-9)
+
+
+def test_the_slope_of_the_objective_is_its_difference_quotient():
+    """The amplitudes follow the searched parameters, and yet the slope holds them."""
+    problem = SingleProblem.from_samples(samples_of("ward"), models.get("ward"), threads=1)
+    objective = Objective(problem, np.array([0.3, 0.05, 0.2, 0.2]))
+    assert len(objective.start) == 2
+    assert objective(objective.start, np.empty(0)) == pytest.approx(1)
+    x, step, slope = objective.start + np.array([0.01, -0.02]), 1e-6, np.empty(2)
+    objective(x, slope)
+    for k, e in enumerate(np.eye(2)):
+        ends = [objective(x + side * step * e, np.empty(0)) for side in (1, -1)]
+        assert slope[k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
+
+
+def test_a_model_without_nonlinear_parameters_needs_no_search():
+    problem = SingleProblem.from_samples(samples_of("lambert"), models.get("lambert"))
+    point, passes = engines.SEARCH(problem, np.array([0.9]))
+    assert len(Objective(problem, point).start) == 0
+    assert passes == 1
+    assert point[0] == pytest.approx(0.4, rel=0.01)

@@ -44,11 +44,7 @@ def gradient_faults(problem: Problem, p: FloatArray) -> list[str]:
 
 def _telling(problem: Problem, p: FloatArray) -> Problem:
     """A few samples: those on which each derivative is strongest, and some over all."""
-    coarse = (
-        problem.subset(starting_values.SUBSET)
-        if problem.n > 2 * starting_values.SUBSET
-        else problem
-    )
+    coarse = starting_values.few(problem) if problem.n > 2 * starting_values.FEW else problem
     _, jac = coarse.jacobian(p)
     n, strong = coarse.n, min(4, coarse.n)
     weighted = abs(jac) * np.sqrt(coarse.inverse_variance)[:, None]

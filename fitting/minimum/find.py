@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.minimum.minimise import Engine, at_lower, minima, minimise
 from gonio.fitting.minimum.optimum import Optimum, better
@@ -33,7 +34,7 @@ def find_minimum(
     weights: Weights | None = None,
     start: Mapping[str, float] | None = None,
     threads: int | None = None,
-    engine: Engine | None = None,
+    engine: Engine | None = engines.SEARCH,
     loss: str = CHI2.name,
     constraints: Constraints | None = None,
 ) -> Minimum:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,11 +93,18 @@ def _polish(problem: Problem, start: FloatArray | _State, evaluations: int) -> O
     return replace(optimum, evaluations=evaluations, verified=False)
 
 
-def _marquardt(problem: Problem, p: FloatArray) -> _State:
-    """Damped Gauss-Newton steps; a step between the bounds is the best one between them."""
+def _marquardt(
+    problem: Problem, p: FloatArray, arrived: Callable[[_State], bool] | None = None
+) -> _State:
+    """Damped Gauss-Newton steps; a step between the bounds is the best one between them.
+
+    They end early where `arrived` says that they need go no further.
+    """
     state = _State.at(problem, p)
     damping = 1e-3
     for _ in range(POLISH_STEPS):
+        if arrived is not None and arrived(state):
+            break
         trial, distance, _ = state.step(damping)
         if distance <= max(STOP, state.rounding):
             break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +16,7 @@ GRID = 9  # values along each nonlinear parameter, where there are few
 MOST = 800  # points of a grid
 
 
+@lru_cache(maxsize=256)
 def _axis(q: Parameter, n: int) -> FloatArray:
     if q.lower == q.upper:
         return np.array([q.lower])

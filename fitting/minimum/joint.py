@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigurationError, DataError
+from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.derivative_check import gradient_faults
 from gonio.fitting.minimum.find import LAW_ROUNDS, ROUNDS, find_minimum, settled, without_spikes
-from gonio.fitting.minimum.joint_starts import (
-    joint_starts,
-)
-from gonio.fitting.minimum.minimise import minimise
+from gonio.fitting.minimum.joint_starts import SUBSET, joint_starts
+from gonio.fitting.minimum.minimise import Engine, minimise
 from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.minimum.rivals import rival
@@ -55,6 +54,7 @@ def find_joint_minimum(
     weights: Weights | None = None,
     start: Mapping[str, float] | None = None,
     threads: int | None = None,
+    engine: Engine | None = engines.SEARCH,
     constraints: Constraints | None = None,
 ) -> JointMinimum:
     """Each part alone first, for starts and noise, then all with what they share.
@@ -68,6 +68,8 @@ def find_joint_minimum(
         Parameters that all parts have in common.
     start : mapping, optional
         Starting values by the model's names, for all parts, or by names such as `rho_d[red]`.
+    engine : callable or None
+        As `engines.get` gives it; of every part alone, then of all together.
     constraints : Constraints, optional
         Parameters fixed or tied, in all parts.
 
@@ -89,7 +91,7 @@ def find_joint_minimum(
     channels = split(samples)
     _check(channels, weights)
     options: dict[str, Any] = {
-        "weights": weights, "threads": threads, "constraints": constraints,
+        "weights": weights, "threads": threads, "constraints": constraints, "engine": engine,
     }  # fmt: skip
     alone = _alone(channels, model, start, options)
     # Copies of samples were taken out.
@@ -97,7 +99,7 @@ def find_joint_minimum(
     problem = JointProblem.from_parts(
         channels, [m.problem for m in alone], share, [_scale(m) for m in alone]
     )
-    problem, optimum, warnings = _find(problem, alone, start)
+    problem, optimum, warnings = _find(problem, alone, start, engine)
     faults = [
         problem.names_of_part(k)[name]
         for k, (part, _, index) in enumerate(problem.pieces())
@@ -153,13 +155,19 @@ def _scale(alone: Minimum) -> float:
 
 
 def _find(
-    problem: JointProblem, alone: Sequence[Minimum], start: Mapping[str, float] | None
+    problem: JointProblem,
+    alone: Sequence[Minimum],
+    start: Mapping[str, float] | None,
+    engine: Engine | None,
 ) -> tuple[JointProblem, Optimum, list[str]]:
     """The deepest minimum found, the problem with its weights, and what to know about it."""
     if start is not None:
         candidates = [problem.vector(start)]
     else:
         candidates = joint_starts(problem, alone)
+    if engine is not None:
+        some = problem.subset(SUBSET) if problem.n > SUBSET else problem
+        candidates = [engine(some, candidates[0])[0], *candidates]
     problem, optimum = _reweighted_minimum(problem, minimise(problem, candidates[0], search=False))
     warnings: list[str] = []
     for candidate in candidates[1:]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,9 +22,11 @@ from gonio.geometry import FloatArray
 
 STARTS = 2  # starting values that are followed to their minimum,
 MANY_STARTS = 8  # and where more than two parameters are nonlinear: chi2 then has more than one
+SEARCHES = 1  # starting values, the best ones, from which an engine searches
 FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples
 FIRST = 4000  # samples on which a start is followed before all are used
 SAME_PLACE = 0.1  # of the uncertainty: two ends that are nearer are one minimum
+SAME_VALLEY = 1.0  # of the uncertainty: steps that come so near end in this minimum
 # A way from a start to the neighbourhood of a minimum: the point and the passes over the data.
 Engine = Callable[[Problem, FloatArray], tuple[FloatArray, int]]
 
@@ -57,7 +61,7 @@ def minimise(
     near : bool
         The start is nearer to the minimum than that of a part of the samples is.
     engine : callable, optional
-        What goes before the Gauss-Newton steps; nothing by default.
+        What searches before the Gauss-Newton steps; nothing by default.
     """
     optimum = _followed(problem, start, engine, near=near or not search)
     lobe_lost = np.any(np.diag(optimum.curvature) <= 0)
@@ -68,26 +72,33 @@ def minimise(
 
 
 def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
-    """The minima to which the best starting values of the data lead, deepest first.
+    """The minima to which the best starting values of the data lead, deepest first."""
+    return _minima_from(problem, starts(problem), engine)
 
-    Of many samples a start is followed on some first, and on all only where it leads to another
-    place than a better one.
+
+def _minima_from(
+    problem: Problem, begun: Sequence[FloatArray], engine: Engine | None
+) -> list[Optimum]:
+    """The minima to which these starts lead, deepest first.
+
+    Gauss-Newton steps go on from where the engine ends. From each start itself they go as well,
+    until they come near a minimum that is known: where both ways end in different minima, both are
+    kept. Of many samples a start is followed on some first, and on all only where it leads to
+    another place than a better one.
     """
-    first = problem.subset(FIRST) if problem.n > 2 * FIRST else problem
+    first = problem.subset(FIRST) if problem.n > 2 * FIRST and not problem.profiled else problem
+    searched, evaluations = _searched(problem, begun, engine)
     ends: list[_State] = []
-    evaluations = 0
-    for start in starts(problem):
-        point = start
-        if engine is not None:
-            point, n = engine(problem, start)
-            evaluations += n
-        ends.append(_marquardt(first if engine is None else problem, point))
+    for point in [*searched, *begun]:
+        end = _marquardt(first, point, partial(_leads_to, first, ends))
+        evaluations += end.evaluations
+        if not _leads_to(first, ends, end):
+            ends.append(end)
     ends.sort(key=lambda end: end.chi2)
     optima: list[Optimum] = []
     kept: list[_State] = []
     for end in ends:
-        evaluations += end.evaluations
-        if any(_same_place(first, other, end) for other in kept):
+        if any(_apart(first, other, end) <= SAME_PLACE for other in kept):
             continue
         if first is not problem and kept and end.chi2 > FAR * kept[0].chi2:
             continue
@@ -98,6 +109,21 @@ def minima(problem: Problem, engine: Engine | None = None) -> list[Optimum]:
     for other in optima[1:]:
         best = better(best, other)
     return [best, *(other for other in optima if other is not best)]
+
+
+def _searched(
+    problem: Problem, begun: Sequence[FloatArray], engine: Engine | None
+) -> tuple[list[FloatArray], int]:
+    """Where the engine ends from each start, on some of the samples, and the passes over these."""
+    if engine is None:
+        return [], 0
+    some = starting_values.few(problem)
+    ends, passes = [], 0
+    for start in begun[:SEARCHES]:
+        point, n = engine(some, start)
+        ends.append(point)
+        passes += n
+    return ends, passes
 
 
 def at_lower(problem: Problem, optimum: Optimum, j: int) -> Optimum:
@@ -121,19 +147,24 @@ def _followed(
     problem: Problem, start: FloatArray, engine: Engine | None, *, near: bool = False
 ) -> Optimum:
     p = amplitudes_solved(problem, start)
-    evaluations = 1
-    if engine is not None:
-        p, n = engine(problem, p)
-        evaluations += n
-    elif problem.n > 2 * FIRST and not near:
-        end = _marquardt(problem.subset(FIRST), p)
-        p, evaluations = end.p, end.evaluations
-    return _polish(problem, p, evaluations)
+    if near:
+        return _polish(problem, p, 1)
+    return _minima_from(problem, [p], engine)[0]
 
 
-def _same_place(problem: Problem, first: _State, second: _State) -> bool:
+def _leads_to(problem: Problem, known: Sequence[_State], state: _State) -> bool:
+    """Whether a state is hardly above a minimum that is known, and hardly away from it."""
+    return any(
+        0 <= state.chi2 - other.chi2 <= (2 * SAME_VALLEY * other.noise) ** 2
+        and _apart(problem, other, state) <= SAME_VALLEY
+        for other in known
+    )
+
+
+def _apart(problem: Problem, first: _State, second: _State) -> float:
+    """Distance of two states in units of the uncertainty at the first."""
     step = starting_values.ordered(problem, second.p) - starting_values.ordered(problem, first.p)
-    apart = float(step @ first.h @ step)
     lost = np.diag(first.h) <= 0
-    moved = np.any(step[lost] != 0)
-    return not moved and apart <= (SAME_PLACE * first.noise) ** 2
+    if np.any(step[lost] != 0):
+        return math.inf
+    return math.sqrt(max(float(step @ first.h @ step), 0.0)) / first.noise

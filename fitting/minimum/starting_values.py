@@ -39,7 +39,7 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
     coarse = problem.subset(SUBSET)
     if not coarse.quadratic:
         coarse = _like_loss(coarse)
-    few = _few(coarse)
+    some = _few(coarse)
     box = Box.of(problem)
     groups = _groups(problem)
     base = np.minimum(np.maximum(0.0, box.lower), box.upper)
@@ -49,10 +49,10 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
     if len(groups) < 2 or grid_size(problem, nonlinear) <= MOST:
         points = grid(problem, nonlinear, base)
     else:
-        points = _lobe_by_lobe(problem, few, box, groups, base)
+        points = _lobe_by_lobe(problem, some, box, groups, base)
     points = np.array([ordered(problem, p) for p in points]) if len(groups) > 1 else points
-    chi2, solved = scored(few, box, points)
-    if few is not coarse:
+    chi2, solved = scored(some, box, points)
+    if some is not coarse:
         best = np.argsort(chi2, kind="stable")[: max(RESCORED, 4 * n)]
         chi2, solved = scored(coarse, box, solved[best])
     return _distinct(chi2, solved, n)
@@ -80,6 +80,11 @@ def ordered(problem: Problem, p: FloatArray) -> FloatArray:
         for group, part in zip(same, parts, strict=True):
             result[group] = part
     return result
+
+
+def few(problem: Problem) -> Problem:
+    """Some of the samples, taken as points: enough to search for a minimum's neighbourhood."""
+    return _few(problem.subset(SUBSET))
 
 
 def _few(coarse: Problem) -> Problem:

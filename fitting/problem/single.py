@@ -17,7 +17,12 @@ from gonio.fitting.problem.noise_law import NoiseLaw, noise_law
 from gonio.fitting.problem.protocol import Problem, ProfiledDraw, Weights
 from gonio.fitting.problem.shared_change import shared_changes
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
-from gonio.fitting.problem.viewed_samples import PASS, ViewedSamples, read_only
+from gonio.fitting.problem.viewed_samples import (
+    PASS,
+    ViewedSamples,
+    bright_and_even,
+    read_only,
+)
 from gonio.geometry import Directions, FloatArray
 from gonio.kernels import map_blocks
 from gonio.models import Model, Parameter
@@ -101,7 +106,7 @@ class SingleProblem:
     def name(self) -> str:
         return self.model.name
 
-    @property
+    @cached_property
     def n(self) -> int:
         return len(self.view)
 
@@ -221,7 +226,7 @@ class SingleProblem:
 
     def subset(self, n: int) -> SingleProblem:
         if n not in self._subsets:
-            index = self.view.bright_and_even(n) if self.n > n else None
+            index = bright_and_even(self.samples.value, n) if self.n > n else None
             inverse = self.inverse_variance if index is None else self.inverse_variance[index]
             view = self.view.centroids(index)
             if self.weights == "sd":
@@ -282,7 +287,7 @@ class SingleProblem:
         block = self._block(PASS)
         parts = np.empty((-(-self.n // block), len(batch)))
         self._map(lambda a, b: work(s, value, inverse, batch, a, b, parts[a // block]), PASS)
-        return np.asarray(parts.sum(axis=0))
+        return parts[0] if len(parts) == 1 else np.asarray(parts.sum(axis=0))
 
     def normal_equations(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         if not self.quadratic:
@@ -303,7 +308,7 @@ class SingleProblem:
             self._map(
                 lambda a, b: sums(s, value, inverse, points, rows, a, b, parts[a // block]), PASS
             )
-            return np.asarray(parts.sum(axis=0))
+            return parts[0] if len(parts) == 1 else np.asarray(parts.sum(axis=0))
         block = self._block(BLOCK)
         parts = np.empty((-(-self.n // block), *size))
         c, w_i = self.cells, np.ascontiguousarray(self.w_i)

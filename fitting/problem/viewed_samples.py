@@ -99,18 +99,6 @@ class ViewedSamples:
             given=None,
         )
 
-    def bright_and_even(self, n: int) -> NDArray[np.int64]:
-        """Indices of at most n samples: half the brightest, half evenly over all.
-
-        A narrow lobe is a small part of the hemisphere; an even choice alone could miss it.
-        """
-        # Multiples of the golden ratio: spread evenly, without the period of a scan.
-        even = (np.arange(n // 2) * 0.6180339887498949) % 1.0 * len(self)
-        taken = np.zeros(len(self), bool)
-        taken[_brightest(self.samples.value, n // 2)] = True
-        taken[even.astype(np.int64)] = True
-        return np.flatnonzero(taken)
-
     def centroids(self, index: NDArray[np.int64] | None) -> ViewedSamples:
         """These samples, or all, taken at their centroids."""
         samples, parts = self.samples, self.components
@@ -120,6 +108,19 @@ class ViewedSamples:
         if samples.cells is not None:
             samples = replace(samples, cells=None)
         return ViewedSamples(samples, parts[:3].T, points(parts), 1, parts)
+
+
+def bright_and_even(value: FloatArray, n: int) -> NDArray[np.int64]:
+    """Indices of at most n samples: half the brightest, half evenly over all.
+
+    A narrow lobe is a small part of the hemisphere; an even choice alone could miss it.
+    """
+    # Multiples of the golden ratio: spread evenly, without the period of a scan.
+    even = (np.arange(n // 2) * 0.6180339887498949) % 1.0 * len(value)
+    taken = np.zeros(len(value), bool)
+    taken[_brightest(value, n // 2)] = True
+    taken[even.astype(np.int64)] = True
+    return np.flatnonzero(taken)
 
 
 def points(parts: FloatArray) -> Cells:

@@ -153,7 +153,7 @@ class PosteriorSummary:
         Shape of the tail of the marginal sampler's importance weights, also where its guard
         refused it; None where there was nothing to weigh.
     note : str
-        Why the marginal sampler was not used; empty where it was.
+        Why the marginal sampler was not used where it was asked for; else empty.
     priors : mapping of str to str
         As `gonio.fitting.posterior.priors` writes them, angles in degrees.
     allowance : str

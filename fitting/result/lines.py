@@ -16,6 +16,23 @@ WEIGHTS = {
 }
 
 
+METHODS = {"gauss_newton": "Gauss-Newton"}
+
+
+def engine_text(engine: str, polish: str) -> str:
+    """What searched for the minimum and what polished it.
+
+    Examples
+    --------
+    >>> engine_text("lbfgs", "gauss_newton")
+    'nlopt lbfgs, then Gauss-Newton'
+    >>> engine_text("gauss_newton", "gauss_newton")
+    'Gauss-Newton'
+    """
+    last = METHODS.get(polish, polish)
+    return last if engine == polish else f"nlopt {engine}, then {last}"
+
+
 def cuts_line(cuts: Mapping[str, Any]) -> str:
     """What was left out, to stand behind the number of samples; empty where nothing was."""
     parts = [

@@ -53,8 +53,10 @@ class FitRecord:
     nuisance : tuple of NuisanceEstimate
         Shared errors that the fit profiled, else empty.
     engine : str
-        What searched for the minimum before the Gauss-Newton steps
-        (`gonio.fitting.minimum.engines`).
+        What searched for the minimum (`gonio.fitting.minimum.engines`); "gauss_newton" where
+        nothing searched before the polish.
+    polish : str
+        What ended the search and checked the minimum.
     loss : str
         What was made small (`gonio.fitting.problem.losses`); for another one than chi2 its value
         stands as `chi2`, and uncertainties come from the scatter of the residuals.
@@ -85,6 +87,7 @@ class FitRecord:
     sharing: Sharing | None = None
     nuisance: tuple[NuisanceEstimate, ...] = ()
     engine: str = "gauss_newton"
+    polish: str = "gauss_newton"
     loss: str = "chi2"
     model_source: Mapping[str, Any] | None = None
     verdict: Verdict | None = None

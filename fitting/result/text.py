@@ -10,7 +10,13 @@ from rich.console import Console, RenderableType
 from gonio.fitting.result.estimates import Estimate
 from gonio.fitting.result.explained import explained, residual_lines
 from gonio.fitting.result.joint_tables import joint_tables
-from gonio.fitting.result.lines import WEIGHTS, cuts_line, nuisance_lines, posterior_lines
+from gonio.fitting.result.lines import (
+    WEIGHTS,
+    cuts_line,
+    engine_text,
+    nuisance_lines,
+    posterior_lines,
+)
 from gonio.fitting.result.record import FitRecord
 from gonio.fitting.result.tables import parameter_table
 from gonio.fitting.result.verdict import WORDS
@@ -48,7 +54,7 @@ def page(
         *([] if record.verdict is None else [record.verdict.line]),
         f"{counted(record.n_samples, 'sample')}{parts}{cuts_line(record.cuts)}; "
         f"weights: {WEIGHTS.get(record.weights, record.weights)}",
-        f"loss: {record.loss}; engine: {record.engine}",
+        f"loss: {record.loss}; engine: {engine_text(record.engine, record.polish)}",
     ]
     if record.parts:
         pieces += joint_tables(record, known, width)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gonio.samples import BRDFSamples
 
 # As `gonio.fitting.minimum.engines` and `losses` name them, which are slow to load.
-ENGINES = ("gauss_newton", "slsqp", "lbfgs", "mma", "bobyqa", "sbplx", "mlsl")
+ENGINES = ("lbfgs", "slsqp", "mma", "bobyqa", "sbplx", "mlsl", "gauss_newton")
 LOSSES = ("chi2", "log", "cube_root", "relative", "student_t")
 _HINT = "Or fit them together with --share NAME,..., the parameters that they have in common."
 
@@ -56,7 +56,8 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
 )
 @constraint_options
 @click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True,
-              help="Method that searches for the minimum; Gauss-Newton steps follow.")  # fmt: skip
+              help="Method that searches for the minimum; Gauss-Newton steps follow. "
+              "gauss_newton: no search before them.")  # fmt: skip
 @click.option("--loss", type=click.Choice(LOSSES), default=LOSSES[0], show_default=True,
               help="Loss to minimise: squared residuals, squared differences of "
               "ln(1 + f cos theta_r), of (f cos theta_r)^(1/3) or of ln f (relative), or Student's "

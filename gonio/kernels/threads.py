@@ -57,6 +57,9 @@ def map_blocks(
     >>> blocks
     [(0, 2), (2, 4), (4, 5)]
     """
+    if 0 < n <= block:
+        work(0, n)
+        return
     bounds = [(start, min(start + block, n)) for start in range(0, n, block)]
     threads = threads or default_threads()
     if threads == 1 or len(bounds) < 2:

@@ -12,6 +12,7 @@ import numpy as np
 import gonio.models as models
 from gonio.errors import GonioError
 from gonio.fitting.result import Estimate, FitResult
+from gonio.fitting.result.lines import engine_text
 from gonio.plotting.style import unit_text
 from gonio.plotting.summary import recovered
 from gonio.reporting.budget import shares
@@ -181,7 +182,7 @@ def goodness(fit: FitResult, residual: Residuals | None) -> list[Markup]:
         ("of them below zero, kept as noise", fit.n_negative),
         ("degrees of freedom", fit.dof),
         ("weights", _WEIGHTS.get(fit.weights, fit.weights)),
-        ("loss, engine", f"{fit.loss}, {fit.engine}"),
+        ("loss, engine", f"{fit.loss}, {engine_text(fit.engine, fit.polish)}"),
     ]
     if fit.weights == "sd" and fit.dof > 0:
         ratio = f"{fit.chi2 / fit.dof:.4g}"
@@ -379,14 +380,15 @@ def commands(inputs: Inputs) -> list[str]:
     sources = sources if isinstance(sources, list) else [sources]
     arguments = ["gonio", "fit", *map(str, sources), "--model", fit.model, "--weights", fit.weights]
     arguments += ["--loss", fit.loss] if fit.loss != "chi2" else []
-    arguments += ["--engine", fit.engine] if fit.engine != "gauss_newton" else []
+    arguments += ["--engine", fit.engine]
     arguments += ["--share", ",".join(joint["share"]) or "none"] if joint else []
     for key, value in (joint.get("select", fit.cuts.get("select")) or {}).items():
         arguments += ["--select", f"{key}={value}"]
     for angle in ("theta_i", "theta_r"):
         limit = fit.cuts.get(f"max_{angle}_deg")
         arguments += [] if limit is None else [f"--max-{angle.replace('_', '-')}", f"{limit:g}"]
-    arguments += ["--posterior"] if fit.posterior is not None else []
+    if fit.posterior is not None:
+        arguments += ["--posterior", "--sampler", fit.posterior.sampler or "emcee"]
     arguments += ["--seed", str(fit.seed)]
     arguments += ["--truth", str(session)] if fit.source.get("truth") and session else []
     lines.append([*arguments, "-o", inputs.name])

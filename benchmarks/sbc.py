@@ -59,8 +59,9 @@ def one_set(case: str, lie: Lie, number: int, seed: int) -> list[dict[str, Any]]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "draws.nc"
         sampled = gonio.fit(
-            data.samples, model=model, posterior=True, draws=path, seed=fitter, threads=1
-        )
+            data.samples, model=model, posterior=True, draws=path, sampler="auto", seed=fitter,
+            threads=1,
+        )  # fmt: skip
         draws = thinned(path, model.names)
     assert sampled.posterior is not None
     rows = []

@@ -145,7 +145,7 @@ def test_a_fixed_albedo_leaves_the_rest_of_the_light():
 def test_the_posterior_of_a_fixed_fit_is_the_conditional_gaussian():
     samples = in_plane(noise=0.003)
     fixed = {"alpha_y": 0.15, "rho_d": 0.2}
-    found = fit(samples, model="ward", fixed=fixed, posterior=True, seed=2)
+    found = fit(samples, model="ward", fixed=fixed, posterior=True, sampler="auto", seed=2)
     assert found.posterior.sampler == "marginal"
     assert found.posterior.converged
     assert set(found.posterior.priors) == {"rho_s", "alpha_x"}

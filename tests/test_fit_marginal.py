@@ -384,7 +384,7 @@ def test_the_guard_sees_a_proposal_that_misses_a_mode():
 def test_where_the_guard_refuses_emcee_takes_over(monkeypatch):
     monkeypatch.setattr(marginal_sampler, "MAX_K_HAT", -np.inf)
     samples = noisy("ward_isotropic", {"rho_d": 0.3, "rho_s": 0.1, "alpha": 0.2})
-    result = gonio.fit(samples, model="ward_isotropic", posterior=True)
+    result = gonio.fit(samples, model="ward_isotropic", posterior=True, sampler="auto")
     assert (result.posterior.sampler, result.ok) == ("emcee", True)
     assert result.posterior.note.startswith("the tail of the importance weights is too heavy")
     assert result.posterior.k_hat < 0.5

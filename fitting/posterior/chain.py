@@ -14,7 +14,7 @@ from gonio.fitting.result import PosteriorSummary
 from gonio.geometry import FloatArray
 from gonio.models import Parameter
 
-Sampler = Literal["auto", "marginal", "emcee"]
+Sampler = Literal["emcee", "marginal", "auto"]
 Progress = Callable[[int, int], None]
 
 
@@ -34,7 +34,7 @@ class Chain:
         Of the importance weights of the marginal sampler, also where its guard refused it; None
         where it had nothing to weigh or did not run.
     note : str
-        Why the marginal sampler was not used; empty where it was.
+        Why the marginal sampler was not used where it was asked for; else empty.
     log_density : ndarray, shape (chains, steps)
         Log of the density that was sampled, amplitudes integrated out, up to a constant.
     priors : tuple of Prior

@@ -59,6 +59,7 @@ class Target(ABC):
         self.sampled = np.array([j for j in range(len(parameters)) if j not in linear], np.int64)
         self.lower = np.array([q.lower for q in parameters])
         self.upper = np.array([q.upper for q in parameters])
+        self._triangle = np.triu_indices(len(self.linear))
         self.exact = True  # the likelihood integrates over every cell
         # Amplitudes whose sum is limited are sampled: the Gaussian is integrated over a box.
         limited = np.flatnonzero(problem.sum_limit)
@@ -135,7 +136,7 @@ class Target(ABC):
     def _unpacked(self, sums: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         n = len(self.linear)
         h = np.empty((len(sums), n, n))
-        rows, columns = np.triu_indices(n)
+        rows, columns = self._triangle
         h[:, rows, columns] = h[:, columns, rows] = sums[:, 1 + n :]
         return sums[:, 0], sums[:, 1 : 1 + n], h
 

@@ -6,25 +6,48 @@ from typing import Any
 
 import emcee
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.fitting.posterior.proposal import Proposal
 from gonio.geometry import FloatArray
 
+STEPS_AHEAD = 24  # steps whose independent proposals are drawn at once
 
-class IndependenceMove(emcee.moves.RedBlueMove):  # type: ignore[misc]
-    """Propose from a mixture that was fitted to the posterior, whatever the walkers' places."""
+
+class IndependenceMove(emcee.moves.Move):  # type: ignore[misc]
+    """Propose from a mixture that was fitted to the posterior, whatever the walkers' places.
+
+    As no proposal depends on where a walker stands, those of many steps are drawn at once and
+    their densities computed in one call.
+    """
 
     def __init__(self, proposal: Proposal) -> None:
         self.proposal = proposal
-        super().__init__()
+        self.ahead: list[Any] = []
 
-    def get_proposal(
-        self, sample: FloatArray, complement: Any, random: np.random.RandomState
-    ) -> tuple[FloatArray, FloatArray]:
-        """New places and the log of the ratio of proposal densities, old over new."""
-        proposed = self.proposal.draw(len(sample), random)
-        both = self.proposal.log_density(np.concatenate([sample, proposed]))
-        return proposed, both[: len(sample)] - both[len(sample) :]
+    def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:
+        """Every walker moved to its proposal, or left where it is; and which moved."""
+        n = len(state.coords)
+        if not self.ahead:
+            self.ahead = self._drawn(model, n)
+        new, log_proposal = self.ahead.pop()
+        gain = new.log_prob - state.log_prob
+        gain += self.proposal.log_density(state.coords) - log_proposal
+        accepted = np.log(model.random.random_sample(n)) < gain
+        return self.update(state, new, accepted), accepted
+
+    def _drawn(self, model: Any, n: int) -> list[Any]:
+        """Proposals for n walkers and some steps, with their densities."""
+        x = self.proposal.draw(STEPS_AHEAD * n, model.random)
+        log_prob, blobs = model.compute_log_prob_fn(x)
+        log_proposal = self.proposal.log_density(x)
+        found = []
+        for k in range(STEPS_AHEAD):
+            some = slice(k * n, (k + 1) * n)
+            own = None if blobs is None else blobs[some]
+            state = emcee.State(x[some], log_prob=log_prob[some], blobs=own)
+            found.append((state, log_proposal[some]))
+        return found
 
 
 class SnookerMove(emcee.moves.RedBlueMove):  # type: ignore[misc]

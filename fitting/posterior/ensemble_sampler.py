@@ -31,9 +31,9 @@ def run(
     mode = target.coordinates(target.mode)
     proposal = marginal_sampler.explored(target, covariance, rng)
     moves = [
-        (IndependenceMove(proposal), 0.6),
-        (emcee.moves.DEMove(), 0.3),
-        (SnookerMove(), 0.1),
+        (IndependenceMove(proposal), 0.8),
+        (emcee.moves.DEMove(), 0.15),
+        (SnookerMove(), 0.05),
     ]
 
     def with_sums(x: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The posterior of a fit: the marginal sampler where its guard lets it, emcee otherwise.
+"""The posterior of a fit: emcee's walkers, or the marginal sampler where its guard lets it.
 
 The likelihood holds the independent errors. Errors that the samples share are not estimated from
 the data: each draw is moved by a random draw of every shared term, as GUM supplement 1 propagates
@@ -37,7 +37,7 @@ def sample(
     errors: Uncertainty,
     *,
     seed: int,
-    sampler: Sampler = "auto",
+    sampler: Sampler = "emcee",
     priors: Sequence[Prior] | None = None,
     max_steps: int = MAX_STEPS,
     progress: Progress | None = None,
@@ -51,9 +51,9 @@ def sample(
         Its noise scale widens the likelihood, its shared terms move the draws.
     seed : int
         One seed, one chain, whatever the number of threads.
-    sampler : {"auto", "marginal", "emcee"}
-        The marginal sampler is tried first unless emcee is asked for; emcee takes over where its
-        guard refuses it.
+    sampler : {"emcee", "marginal", "auto"}
+        "marginal" and "auto" try the marginal sampler first, and emcee takes over where its guard
+        refuses it; "marginal" warns of it.
     priors : sequence of Prior, optional
         One a parameter; as the parameters declare them where not given.
     progress : callable, optional
@@ -90,11 +90,9 @@ def sample(
         return built
 
     k_hat, note, notes = None, "", []
-    if not marginal:
+    if sampler != "emcee" and not marginal:
         note = "the problem is not one model with independent noise and squared residuals"
-    elif sampler == "emcee":
-        note = "emcee was asked for"
-    else:
+    elif sampler != "emcee":
         chain = _checked(_by_marginal, target(whole=False), root, rng)
         if not chain.note:
             return _moved(minimum, chain, errors, rng)

@@ -21,11 +21,11 @@ def posterior_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--posterior", is_flag=True, help="Sample the posterior."),
         click.option(
             "--sampler",
-            type=click.Choice(["auto", "marginal", "emcee"]),
-            default="auto",
+            type=click.Choice(["emcee", "marginal", "auto"]),
+            default="emcee",
             show_default=True,
-            help="Sampler of the posterior: the fast marginal sampler, or emcee, which is also "
-            "used if the checks of the marginal sampler fail.",
+            help="Sampler of the posterior: emcee, or the faster marginal sampler, which emcee "
+            "replaces if its checks fail; auto does so without a warning.",
         ),
         click.option(
             "--prior",

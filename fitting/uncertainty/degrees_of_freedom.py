@@ -88,8 +88,8 @@ def quantile(probability: float, dof: float | None) -> float:
     >>> round(quantile(0.975, None), 3), round(quantile(0.975, 4.0), 3)
     (1.96, 2.776)
     """
-    from scipy import stats
+    from scipy.special import ndtri, stdtrit
 
     if dof is None or not np.isfinite(dof):
-        return float(stats.norm.ppf(probability))
-    return float(stats.t.ppf(probability, max(dof, 1.0)))
+        return float(ndtri(probability))
+    return float(stdtrit(max(dof, 1.0), probability))

@@ -254,12 +254,15 @@ def recovered(estimate: Estimate) -> str:
     '0.2093 ± 0.0023'
     >>> recovered(Estimate(0.0, None, "", "lower", None, None))
     '0 (at its lower bound)'
+    >>> recovered(Estimate(0.0094, 0.0001, "", None, None, None, established=False))
+    '0.00940 ± 0.00010 (not established by these data)'
     """
     if estimate.stderr is None:
         why = f"at its {estimate.at_bound} bound" if estimate.at_bound else "not determined"
         return f"{estimate.value:.4g}{_unit(estimate)} ({why})"
     digits = _digits(estimate.stderr)
-    return f"{estimate.value:.{digits}f} ± {estimate.stderr:.{digits}f}{_unit(estimate)}"
+    weak = "" if estimate.established else " (not established by these data)"
+    return f"{estimate.value:.{digits}f} ± {estimate.stderr:.{digits}f}{_unit(estimate)}{weak}"
 
 
 def _unit(estimate: Estimate) -> str:

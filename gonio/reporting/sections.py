@@ -118,7 +118,10 @@ def parameters(fit: FitResult, stated: Statement) -> Markup:
         if fit.posterior is not None
         else "from the standard uncertainty, or at a bound from the growth of chi-squared"
     )
+    allowance = fit.diagnostics.get("allowance")
     note = f"Intervals: {kind}."
+    if allowance:
+        note += f" The {allowance['text']}."
     if truth:
         note += (
             " The true values are those the session was simulated with; the fit did not use them."

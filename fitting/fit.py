@@ -247,7 +247,7 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     for name, carried in support.items():
         estimates[name] = replace(estimates[name], established=not carried.reasons)
     verdict, diagnostics, residual_warnings = diagnose(squares)
-    if not problem.quadratic:
+    if problem.law.robust:
         verdict = verdict_of(minimum)  # of all residuals, also those that the loss hardly sees
     shared_errors = nuisance_estimates(minimum)
     warnings = warnings_of(minimum, errors) + minimum.warnings

@@ -14,10 +14,15 @@ from scipy.optimize import minimize
 import gonio
 from gonio import formats, models
 from gonio.errors import DataError
+from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.residual_tests.misfit import misfit_test
+from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
+from gonio.fitting.uncertainty.covariance import evaluate
+from gonio.fitting.uncertainty.intervals import estimated
+from gonio.fitting.warnings import warnings_of
 from gonio.geometry import Directions
 from gonio.models.base import Model
 from gonio.samples import BRDFSamples
@@ -139,10 +144,10 @@ def test_more_zeros_than_the_scale_bears_are_said():
     directions = where(200)
     y = models.get("lambert")(directions, rho=0.0)
     y[:30] = -0.01 + 0.001 * np.random.default_rng(1).standard_normal(30)
-    result = gonio.fit(BRDFSamples(directions, y), model="lambert", loss="student_t")
+    minimum = find_minimum(BRDFSamples(directions, y), models.get("lambert"), loss="student_t")
     assert any(
         text.startswith("170 of 200 residuals are exactly 0: loss 'student_t' finds the size")
-        for text in result.warnings
+        for text in warnings_of(minimum, evaluate(minimum))
     )
 
 
@@ -205,9 +210,14 @@ def test_no_loss_breaks_at_odd_data(loss, kind):
         pytest.skip("refused, see below")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = gonio.fit(BRDFSamples(directions, y), model=MODEL, loss=loss)
-    assert np.isfinite(result.chi2)
-    for estimate in result.parameters.values():
+        minimum = find_minimum(BRDFSamples(directions, y), models.get(MODEL), loss=loss)
+        squares = minimum.as_least_squares()
+        test = misfit_test(squares)
+        errors, _ = honest_uncertainties(minimum, test)
+        estimates, _ = estimated(minimum, errors, test)
+        diagnose(squares)
+    assert np.isfinite(minimum.chi2)
+    for estimate in estimates.values():
         assert np.isfinite(estimate.value)
         if estimate.stderr is not None:
             assert np.isfinite(estimate.stderr)
@@ -340,3 +350,16 @@ def test_noise_that_is_a_part_of_f_is_no_structure_over_six_decades(options):
         test = misfit_test(minimum.as_least_squares())
         structured += test.structured
     assert structured <= 1
+
+
+def test_the_verdict_on_six_decades_is_on_logarithms():
+    """Plain residuals of 30 % noise would be those of the few brightest samples."""
+    directions = about_the_mirror()
+    f = models.get("abg")(directions, A=2e-3, B=5e-7, g=2.0)
+    y = f * np.exp(0.3 * np.random.default_rng(2).standard_normal(len(f)))
+    samples = BRDFSamples(directions, y)
+    right = gonio.fit(samples, model="abg", loss="relative").verdict
+    assert right.kind == "undecided"
+    assert "without structure" in right.reason
+    wrong = gonio.fit(samples, model=MODEL, loss="relative").verdict
+    assert wrong.kind == "does_not_fit"

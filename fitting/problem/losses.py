@@ -46,6 +46,8 @@ class Loss:
         Whether it needs the size of the noise, not the weights alone.
     relative : bool
         Whether its residuals are equally noisy where the noise is a fixed part of f.
+    robust : bool
+        Whether large residuals count little.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Loss:
     likelihood: bool = True
     scaled: bool = False
     relative: bool = False
+    robust: bool = False
 
     def check_weights(self, weights: Any, *, has_u: bool) -> Any:
         """The weights, "sd" by default where the samples have uncertainties."""
@@ -266,7 +269,7 @@ LOSSES: dict[str, Loss] = {
         _Log("log", "ln(1 + f cos theta_r)", likelihood=False),
         _CubeRoot("cube_root", "(f cos theta_r)^(1/3)", likelihood=False),
         _Relative("relative", "ln f", likelihood=False, relative=True),
-        _StudentT("student_t", "Student's t of 4 degrees of freedom", scaled=True),
+        _StudentT("student_t", "Student's t of 4 degrees of freedom", scaled=True, robust=True),
     )
 }
 

@@ -79,7 +79,7 @@ def component_test(gram: FloatArray, score: float, square: float, dof: int) -> f
     dof : int
         Degrees of freedom of |z|^2.
     """
-    values: FloatArray = np.linalg.eigvalsh(gram)
+    values = np.asarray(np.linalg.eigvalsh(gram), dtype=np.float64)
     values = values[values > NEGLIGIBLE]
     rest = dof - len(values)
     if len(values) == 0 or square <= 0 or rest < 0:

@@ -18,6 +18,7 @@ from gonio.geometry import FloatArray
 
 LEAST = 12  # samples from which a law can be told
 EXPLAINS = 0.02  # rms deviation, beyond rounding, up to which a law is that of u_brdf
+FAR = 0.1  # deviation of a reading at a floor or a limit
 BETTER = 3.0  # times that the law in the readings fits better than the same law in f
 NOTICEABLE = 0.003  # rms deviation of the law in f below which the two are the same
 MOST_OUTSIDE = 0.1  # share of readings, at a floor or a limit, that may not follow the law
@@ -164,7 +165,7 @@ def _least_squares(
         target = np.clip(by_law, u - 0.51 * quantum, u + 0.51 * quantum)
         off = np.abs(by_law - target) / u
         # A few readings at a floor or a limit do not hide the law.
-        kept = off <= max(5 * float(np.median(off)), EXPLAINS)
+        kept = off <= max(5 * float(np.median(off)), FAR)
     if np.mean(kept) < 1 - MOST_OUTSIDE:
         return NoiseLaw(0.0, 0.0, 0.0), np.inf
     coefficients = np.zeros(3)

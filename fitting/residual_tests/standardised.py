@@ -61,7 +61,7 @@ class Standardised:
     @property
     def dof(self) -> int:
         """Degrees of freedom of |z|^2."""
-        return len(self.z) - self.q.shape[1]
+        return int(self.z.size - self.q.shape[1])
 
     def component_test(self, columns: FloatArray, where: slice) -> float | None:
         """p-value of no error of the model with the covariance C C^T.

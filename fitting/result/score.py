@@ -192,7 +192,7 @@ def _change(
     elif term.turn:
         turned = [[np.ascontiguousarray(rotated(w, -side * term.turn)) for w in (w_i, w_r)]
                   for side in (1, -1)]  # fmt: skip
-        there = [model.evaluate(*pair, p) for pair in turned]
+        there = [model.evaluate(a, b, p) for a, b in turned]
     else:
         return term.change(f)
     change = (there[0] - there[1]) / 2

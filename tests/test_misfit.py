@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hemisphere import INCIDENCE, ISOTROPIC, grid, noisy
 from scipy import stats
 
 from gonio import models
@@ -19,26 +20,6 @@ from gonio.fitting.residual_tests.model_errors import FACTOR, SMOOTH, smooth_col
 from gonio.fitting.residual_tests.quadratic_forms import combined, upper_tail
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
-
-ISOTROPIC = {"rho_d": 0.3, "rho_s": 0.1, "alpha": 0.2}
-
-
-def grid(incidences=(5, 25, 45, 65), viewing=15, azimuths=(0, 30, 90, 150, 180)):
-    theta_i, theta_r, phi_r = np.meshgrid(
-        np.radians(incidences), np.linspace(0, 1.3, viewing), np.radians(azimuths), indexing="ij"
-    )
-    return Directions(theta_i.ravel(), 0.0, theta_r.ravel(), phi_r.ravel())
-
-
-GRID = grid()
-INCIDENCE = np.unique(GRID.theta_i, return_inverse=True)[1]
-
-
-def noisy(rng, name="lambert", truth=None, *, sd=0.01, stated=True, error=0.0, where=GRID):
-    """Samples whose noise is `sd` of f, stated or not, with an error of the model."""
-    f = models.get(name)(where, **(truth or {"rho": 0.5})) * np.ones(len(where.theta_r))
-    value = f * (1 + error + sd * rng.standard_normal(len(f)))
-    return BRDFSamples(where, value, sd * f if stated else None)
 
 
 def chances(name, samples_of, runs):

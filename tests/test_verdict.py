@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hemisphere import GRID, INCIDENCE, ISOTROPIC, grid, noisy
 from scipy import stats
-from test_misfit import GRID, INCIDENCE, ISOTROPIC, grid, noisy
 
 import gonio
 from gonio import models

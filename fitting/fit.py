@@ -28,6 +28,7 @@ from gonio.fitting.problem.nuisance_names import Nuisance, profiled_terms
 from gonio.fitting.problem.protocol import Weights
 from gonio.fitting.provenance import provenance
 from gonio.fitting.residual_tests.verdict import misfit_beyond_shared, verdict_of
+from gonio.fitting.residual_tests.whitened import Base
 from gonio.fitting.result import FitResult, PosteriorSummary, plain
 from gonio.fitting.screening import screened
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
@@ -240,13 +241,14 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     """
     problem = minimum.problem
     squares = minimum.as_least_squares()  # its residuals are those that the loss sees
-    test = misfit_beyond_shared(squares)
+    base = Base.of(squares)
+    test = misfit_beyond_shared(squares, base)
     errors, undetected = honest_uncertainties(minimum, test)
     estimates, bound_warnings = estimated(minimum, errors, test)
     support = {} if noiseless(minimum) else supports(minimum, estimates)
     for name, carried in support.items():
         estimates[name] = replace(estimates[name], established=not carried.reasons)
-    verdict, diagnostics, residual_warnings = diagnose(squares)
+    verdict, diagnostics, residual_warnings = diagnose(squares, base)
     if problem.law.robust:
         verdict = verdict_of(minimum)  # of all residuals, also those that the loss hardly sees
     shared_errors = nuisance_estimates(minimum)

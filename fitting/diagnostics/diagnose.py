@@ -15,17 +15,21 @@ from gonio.fitting.residual_tests.whitened import Base
 from gonio.fitting.result.verdict import Verdict
 
 
-def diagnose(minimum: Minimum) -> tuple[Verdict, dict[str, Any], list[str]]:
+def diagnose(
+    minimum: Minimum, base: Base | None = None
+) -> tuple[Verdict, dict[str, Any], list[str]]:
     """The verdict on a fit, its diagnostics as plain data, and what a reader must be warned of.
 
     Parameters
     ----------
     minimum : Minimum
         Over one BRDF or several; of several the residuals of each are examined.
+    base : Base, optional
+        Its values and derivatives, where they are at hand.
     """
     problem = minimum.problem
     identified = identify(minimum)
-    base = Base.of(minimum)
+    base = Base.of(minimum) if base is None else base
     reports = examine_parts(minimum, base)
     verdict = judge(minimum, base, reports)
     # An error of the model within the tolerance, or that shared errors explain, is no warning.

@@ -26,6 +26,7 @@ TINY = 1e-100  # sr^-1: values whose squares would vanish
 SAME = 1e-4  # rms deviation below which laws are equally good
 ROUNDS = 20  # in which the place of u within its rounding follows the law
 TERMS = [[0], [2], [1], [0, 2], [0, 1], [1, 2], [0, 1, 2]]  # simplest laws first
+FIRST = 64  # uncertainties that are looked at before all others
 MOST_DIGITS = 4  # digits of u_brdf that are looked for; more are no rounding
 
 
@@ -114,6 +115,9 @@ def noise_law(value: FloatArray, u: FloatArray, f: FloatArray) -> NoiseLaw | Non
     if len(value) < LEAST or not np.all(u > 0) or not np.any(value):
         return None
     quantum = rounding(u)
+    # Of laws in f twice the best deviation is accepted: this one leaves no room for the readings.
+    if any(_least_squares(f, u, quantum, terms)[1] < NOTICEABLE / 2 for terms in TERMS[:2]):
+        return None
     law, by_reading = _fitted(value, u, quantum)
     _, by_model = _fitted(f, u, quantum)
     if by_reading > EXPLAINS or by_model < max(BETTER * by_reading, NOTICEABLE):
@@ -129,14 +133,31 @@ def rounding(u: FloatArray) -> FloatArray:
     >>> rounding(np.array([0.02, 0.3])).tolist(), rounding(np.array([0.021, 0.3])).tolist()
     ([0.01, 0.1], [0.001, 0.001])
     """
-    power = np.floor(np.log10(u) + 1e-9)
+    first = u[:FIRST]
+    largest = np.floor(np.log10(np.max(u)) + 1e-9)
     for digits in range(1, MOST_DIGITS + 1):
-        by_digits = 10.0 ** (power - digits + 1)
-        by_decimals = np.full(len(u), 10.0 ** (np.max(power) - digits + 1))
-        for step in (by_digits, by_decimals):
-            if np.all(np.abs(u / step - np.round(u / step)) < 1e-6 * np.maximum(u / step, 1.0)):
-                return step
+        for step_of in (_of_digits, _of_decimals):
+            if _multiples(first, step_of(first, largest, digits)):
+                step = step_of(u, largest, digits)
+                if _multiples(u, step):
+                    return step
     return np.zeros(len(u))
+
+
+def _of_digits(u: FloatArray, largest: float, digits: int) -> FloatArray:
+    """Step of so many digits of each number."""
+    return np.asarray(10.0 ** (np.floor(np.log10(u) + 1e-9) - digits + 1))
+
+
+def _of_decimals(u: FloatArray, largest: float, digits: int) -> FloatArray:
+    """Step of so many digits of the largest number, of which the power of ten is given."""
+    return np.full(len(u), 10.0 ** (largest - digits + 1))
+
+
+def _multiples(u: FloatArray, step: FloatArray) -> bool:
+    """Whether numbers are multiples of their steps."""
+    ratio = u / step
+    return bool(np.all(np.abs(ratio - np.round(ratio)) < 1e-6 * np.maximum(ratio, 1.0)))
 
 
 def _fitted(x: FloatArray, u: FloatArray, quantum: FloatArray) -> tuple[NoiseLaw, float]:
@@ -160,7 +181,11 @@ def _least_squares(
     target, off, solution = u, np.zeros(len(x)), np.zeros(len(terms))
     for _ in range(ROUNDS if quantum.any() else 3):
         relative = design[kept] / (target[kept] ** 2)[:, None]
-        solution, _ = nnls(relative, np.ones(int(np.count_nonzero(kept))))
+        if len(terms) == 1:
+            column = relative[:, 0]
+            solution = np.array([np.sum(column) / max(float(column @ column), 1e-300)])
+        else:
+            solution, _ = nnls(relative, np.ones(len(relative)))
         by_law = np.sqrt(design @ solution)
         target = np.clip(by_law, u - 0.51 * quantum, u + 0.51 * quantum)
         off = np.abs(by_law - target) / u

@@ -97,7 +97,14 @@ def misfit_test(minimum: Minimum, *, shared: bool = True) -> MisfitTest | None:
 
 
 def misfit_test_of(base: Base, *, shared: bool = True) -> MisfitTest | None:
-    """`misfit_test` where the fit's values and derivatives are at hand."""
+    """`misfit_test` where the fit's values and derivatives are at hand; made once."""
+    if (MisfitTest, shared) not in base.found:
+        base.found[MisfitTest, shared] = _made(base, shared=shared)
+    test: MisfitTest | None = base.found[MisfitTest, shared]
+    return test
+
+
+def _made(base: Base, *, shared: bool) -> MisfitTest | None:
     left = standardise(base.thinned(MOST), shared=shared)
     if left is None:
         return None

@@ -67,16 +67,27 @@ def smooth_columns(x: FloatArray, orders: Sequence[int], share: float) -> FloatA
     reach = np.ptp(x, axis=0)
     centre = (x.max(axis=0) + x.min(axis=0)) / 2
     half = np.maximum(reach / 2, 1e-6) * BEYOND
-    grids = np.meshgrid(*[np.arange(1, m + 1) for m in orders], indexing="ij")
-    omega = np.pi * np.column_stack([g.ravel() for g in grids]) / (2 * half)
-    phi = np.ones((len(x), len(omega)))
-    for axis in range(x.shape[1]):
-        moved = x[:, axis] - centre[axis] + half[axis]
-        values, number = np.unique(omega[:, axis], return_inverse=True)
-        phi *= (np.sin(np.outer(moved, values)) / np.sqrt(half[axis]))[:, number]
     rate = np.sqrt(3) / (share * (reach + 1e-9))
-    density = np.prod(4 * rate**3 / (rate**2 + omega**2) ** 2, axis=1)
-    return np.asarray(phi * np.sqrt(density))
+    columns = np.ones((1, len(x)))
+    for axis, most in enumerate(orders):
+        omega = np.pi * np.arange(1, most + 1) / (2 * half[axis])
+        density = 4 * rate[axis] ** 3 / (rate[axis] ** 2 + omega**2) ** 2
+        waves = _sines(omega[0] * (x[:, axis] - centre[axis] + half[axis]), most)
+        waves *= np.sqrt(density / half[axis])[:, None]
+        columns = (columns[:, None, :] * waves[None]).reshape(-1, len(x))
+    return np.asarray(columns.T)
+
+
+def _sines(angle: FloatArray, most: int) -> FloatArray:
+    """Sines of 1 to `most` times an angle, (most, N)."""
+    sines = np.empty((most, len(angle)))
+    sines[0] = np.sin(angle)
+    twice = 2 * np.cos(angle)
+    for k in range(1, most):
+        sines[k] = twice * sines[k - 1]
+        if k > 1:
+            sines[k] -= sines[k - 2]
+    return sines
 
 
 def incidence_of(problem: Problem) -> NDArray[np.int64]:

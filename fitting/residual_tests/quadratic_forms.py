@@ -36,7 +36,7 @@ def upper_tail(weights: FloatArray, multiplicity: FloatArray) -> float:
     0.05
     """
     from scipy.optimize import brentq
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     size = float(np.max(np.abs(weights), initial=0.0))
     if size == 0:
@@ -59,7 +59,7 @@ def upper_tail(weights: FloatArray, multiplicity: FloatArray) -> float:
         k3 = 8 * float(np.sum(multiplicity * w**3))
         return float(np.clip(0.5 - k3 / (6 * np.sqrt(2 * np.pi) * k2**1.5), 0, 1))
     r, u = np.sign(t) * np.sqrt(max(-2 * k, 0.0)), t * np.sqrt(k2)
-    return float(np.clip(norm.sf(r + np.log(u / r) / r), 0.0, 1.0))
+    return float(np.clip(ndtr(-(r + np.log(u / r) / r)), 0.0, 1.0))
 
 
 def component_test(gram: FloatArray, score: float, square: float, dof: int) -> float | None:

@@ -73,14 +73,15 @@ class Standardised:
         where : slice
             Those samples.
         """
-        size = max(float(np.sqrt(np.max(np.sum(columns**2, axis=0)))), 1e-300)
-        columns = columns / size
-        v = self.shared[where]
-        by_shared = v.T @ columns
+        gram = columns.T @ columns
+        size2 = max(float(np.max(np.diag(gram))), 1e-300)
         by_fit = self._colored_q[where].T @ columns
-        gram = columns.T @ columns - by_fit.T @ by_fit - by_shared.T @ self.inner @ by_shared
+        gram -= by_fit.T @ by_fit
+        if self.shared.shape[1]:
+            by_shared = self.shared[where].T @ columns
+            gram -= by_shared.T @ self.inner @ by_shared
         score = float(np.sum((columns.T @ self._colored_z[where]) ** 2))
-        return component_test(gram, score, float(self.z @ self.z), self.dof)
+        return component_test(gram / size2, score / size2, float(self.z @ self.z), self.dof)
 
     @cached_property
     def _colored_z(self) -> FloatArray:

@@ -88,13 +88,13 @@ def verdict_of(minimum: Minimum) -> Verdict:
     return judge(minimum, base, examine_parts(minimum, base))
 
 
-def misfit_beyond_shared(minimum: Minimum) -> MisfitTest | None:
+def misfit_beyond_shared(minimum: Minimum, base: Base | None = None) -> MisfitTest | None:
     """The test for structure, None where shared errors leave an error within the tolerance.
 
     With 10^5 samples of a session the floor of image formation is structure; its uncertainties are
-    those of the shared errors.
+    those of the shared errors. `base` is that of the minimum, where it is at hand.
     """
-    base = Base.of(minimum)
+    base = Base.of(minimum) if base is None else base
     test = misfit_test_of(base)
     if test is None or not test.structured or not base.shared.shape[1]:
         return test

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from gonio.geometry import FloatArray
 ROUNDING = 1e-10  # of the largest value: smaller residuals are no residuals
 
 
+FEW = 16  # columns that are quicker as a full array
 MOST = 20_000  # samples that are examined: enough for any error of the model that matters
 
 
@@ -68,6 +70,11 @@ class Base:
             shared=self.shared[index],
         )
 
+    @cached_property
+    def found(self) -> dict[Any, Any]:
+        """What tests of these residuals found, so that each is made once."""
+        return {}
+
     @property
     def residual(self) -> FloatArray:
         """Measured less fitted values, (N,)."""
@@ -115,6 +122,11 @@ class Whitened:
         if dof < 3 * LEAST or not np.max(np.abs(z)) > ROUNDING * np.max(root):
             return None
         return cls(z, columns, inverse, dof, root, f, residual, stated)
+
+    @cached_property
+    def dense(self) -> FloatArray | None:
+        """The columns as a full array where they are few, else None."""
+        return self.columns.toarray() if self.columns.shape[1] <= FEW else None
 
     @property
     def mean(self) -> float:

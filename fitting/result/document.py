@@ -23,6 +23,7 @@ from gonio.fitting.result.record import FitRecord
 from gonio.fitting.result.verdict import Verdict
 
 SCHEMA = "gonio.fit/1"
+PLAIN = frozenset((bool, int, float, str))
 Record = TypeVar("Record", bound=FitRecord)
 Matrix = list[list[float]]
 
@@ -167,6 +168,8 @@ def _with_tuples(entry: dict[str, Any]) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """Dataclasses, mappings and tuples as JSON-ready data."""
+    if value is None or type(value) in PLAIN:
+        return value
     if hasattr(value, "__dataclass_fields__"):
         return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
     if isinstance(value, Mapping):

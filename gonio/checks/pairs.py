@@ -13,6 +13,7 @@ from gonio.samples import ANGLES, BRDFSamples
 
 MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
 TOLERANCE_DEG = 2.0
+REACH = 1.5  # tolerances within which the nearest sample is looked for
 
 Indices = NDArray[np.int64]
 
@@ -73,16 +74,20 @@ def reciprocal_pairs(samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG)
     group = groups(samples)
     theta_i, phi_i, theta_r, phi_r = four_angles(samples)
     delta = np.abs(azimuth_between(theta_i, phi_i, theta_r, phi_r))
-    directions = Directions(theta_i, phi_i, theta_r, phi_r)
-    k, j = _partners(directions, directions.swapped(), group, tolerance)
+    may = np.flatnonzero(_may_have_partner(theta_i, theta_r, tolerance))
+    k = j = np.zeros(0, np.int64)
     # If the sample was never rotated, only the plane of incidence holds such partners.
-    assumed = _one_azimuth(phi_i[theta_i > tolerance], tolerance) or len(k) < MIN_PAIRS
+    assumed = _one_azimuth(phi_i[theta_i > tolerance], tolerance)
+    if not assumed:
+        directions = Directions(theta_i[may], phi_i[may], theta_r[may], phi_r[may])
+        k, j = _partners(directions, directions.swapped(), group[may], tolerance)
+        assumed = len(k) < MIN_PAIRS
     if assumed:
-        zero = np.zeros_like(delta)
-        folded = Directions(theta_i, zero, theta_r, delta)
-        exchanged = Directions(theta_r, zero, theta_i, delta)
-        k, j = _partners(folded, exchanged, group, tolerance)
-    return Pairs(k, j, assumed)
+        zero = np.zeros(len(may))
+        folded = Directions(theta_i[may], zero, theta_r[may], delta[may])
+        exchanged = Directions(theta_r[may], zero, theta_i[may], delta[may])
+        k, j = _partners(folded, exchanged, group[may], tolerance)
+    return Pairs(may[k], may[j], assumed)
 
 
 def mirror_pairs(
@@ -139,6 +144,25 @@ def _one_azimuth(phi: FloatArray, tolerance: float) -> bool:
     return not len(phi) or bool(np.all(np.abs(wrapped(phi - phi[0])) < tolerance))
 
 
+def _may_have_partner(
+    theta_i: FloatArray, theta_r: FloatArray, tolerance: float
+) -> NDArray[np.bool_]:
+    """Which samples have one whose theta_i is near their theta_r, and theta_r near their theta_i.
+
+    Others are neither a partner nor nearer to a sample than its partner.
+    """
+    width = REACH * tolerance * 1.01
+    of_i, of_r = (np.asarray(theta / width, np.int64) + 1 for theta in (theta_i, theta_r))
+    may = np.ones(len(of_i), bool)
+    for _ in range(2):  # the second time among those that are left
+        for own, other in ((of_r, of_i), (of_i, of_r)):
+            held = np.zeros(int(np.pi / width) + 4, bool)
+            held[other[may]] = True
+            held[1:-1] |= held[:-2] | held[2:]
+            may &= held[own]
+    return may
+
+
 def _partners(
     have: Directions, want: Directions, group: Indices, tolerance: float
 ) -> tuple[Indices, Indices]:
@@ -151,7 +175,12 @@ def _partners(
     separation = 10.0 * group[:, None]
     points = np.hstack([*have.vectors(), separation])
     wanted = np.hstack([*want.vectors(), separation])
-    joint_distance, nearest = cKDTree(points).query(wanted, distance_upper_bound=1.5 * tolerance)
+    # A component that is the same everywhere adds nothing to a distance.
+    varies = (np.ptp(points, axis=0) > 0) | np.any(wanted != points[0], axis=0)
+    varies[0] = True
+    joint_distance, nearest = cKDTree(points[:, varies]).query(
+        wanted[:, varies], distance_upper_bound=REACH * tolerance
+    )
     k = np.flatnonzero(np.isfinite(joint_distance))
     j = np.asarray(nearest[k], np.int64)
     distance = np.maximum(

@@ -134,6 +134,8 @@ def _asked(samples: BRDFSamples, *, of_values: bool) -> tuple[tuple[Finding, ...
 
 def _parts(samples: BRDFSamples) -> dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]]:
     """Indices of the samples of each wavelength and channel, by name; one is called ""."""
+    if samples.wavelength_nm is None and samples.channel is None:
+        return {"": np.arange(len(samples))}
     group = groups(samples)
     numbers = np.unique(group)
     if len(numbers) < 2:

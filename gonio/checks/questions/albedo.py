@@ -39,7 +39,7 @@ def lower_bound(evidence: Evidence, index: NDArray[np.int64]) -> tuple[float, st
 
     Between three neighbouring samples the BRDF is taken for their harmonic mean, below which the
     mean of a lobe does not lie: a peak that one sample has alone counts for nothing. Outside of the
-    samples nothing is counted.
+    samples nothing is counted. It is 0 where it cannot exceed `MOST`.
     """
     if len(index) > DRAWN:
         index = index[:: -(-len(index) // DRAWN)]
@@ -48,6 +48,8 @@ def lower_bound(evidence: Evidence, index: NDArray[np.int64]) -> tuple[float, st
         f = f - evidence.u[index]
     # The projected solid angle is the area in the plane of the sample.
     x, y = np.sin(theta) * np.cos(delta), np.sin(theta) * np.sin(delta)
+    if max(_at_most(x, y, f), np.pi * float(f.min())) <= MOST:
+        return 0.0, ""
     area, mean = _triangles(x, y, f)
     both_area, both_mean = _triangles(np.r_[x, x], np.r_[y, -y], np.r_[f, f])
     # Measured on one side of the plane of incidence, a sample is as bright on the other.
@@ -56,6 +58,23 @@ def lower_bound(evidence: Evidence, index: NDArray[np.int64]) -> tuple[float, st
     if len(area):
         return float(np.sum(area * mean)), "between neighbouring samples"
     return _in_plane(theta, delta, f), "with the darkest sample of the plane"
+
+
+def _at_most(x: FloatArray, y: FloatArray, f: FloatArray) -> float:
+    """What no triangles between the samples exceed, mirrored ones included.
+
+    The harmonic mean of three values exceeds t = 3/(1/g + 2/max f) only if all of them exceed g,
+    and the triangles between samples above g lie in the rectangle that holds these.
+    """
+    order = np.argsort(-f)
+    order = order[f[order] > 0]
+    if not len(order):
+        return 0.0
+    x, y, g = x[order], np.abs(y[order]), f[order]
+    width = np.maximum.accumulate(x) - np.minimum.accumulate(x)
+    area = np.minimum((width + 1e-5) * (2 * np.maximum.accumulate(y) + 1e-5), np.pi)
+    t = 3 / (1 / g + 2 / g[0])
+    return float(np.sum(area * (t - np.append(t[1:], 0.0))))
 
 
 def _triangles(x: FloatArray, y: FloatArray, f: FloatArray) -> tuple[FloatArray, FloatArray]:

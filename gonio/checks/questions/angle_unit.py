@@ -21,8 +21,10 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     phi = np.degrees(np.concatenate([evidence.phi_i, evidence.phi_r]))
     polar = bool(theta.size and theta.max() <= np.pi / 2 + 1e-3 and theta.max() > 0.05)
     azimuths = bool(phi.size and np.abs(phi).max() <= 2 * np.pi + 1e-3 and np.abs(phi).max() > 0.05)
-    polar_round, azimuth_round = _whole_degrees(theta), _whole_degrees(phi)
     whole_turns = azimuths and _quarter_turns(phi)
+    if not polar and not whole_turns:
+        return
+    polar_round, azimuth_round = _whole_degrees(theta), _whole_degrees(phi)
     spread = azimuths and len(np.unique(phi)) >= 20 and np.ptp(phi) > 3.0
     if polar and (whole_turns or spread or (polar_round and (azimuths or not phi.any()))):
         yield _finding("theta and phi", theta, phi, sure=True)

@@ -18,6 +18,9 @@ ALL = 0.9  # equal values: a constant, and no cut
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     """Many equal values at the lower end, or several at the upper end."""
+    ends = evidence.value.min(), evidence.value.max()
+    if max(np.count_nonzero(evidence.value == end) for end in ends) < CLASSES:
+        return
     values, counts = np.unique(evidence.value, return_counts=True)
     if len(values) < 10 or counts.max() > ALL * evidence.n:
         return

@@ -33,8 +33,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
                 f"{scatter:.1%}: noise of that size would not leave all values positive and so "
                 "steady. The columns brdf and u_brdf are exchanged: exchange their names.",
             )
-    column = _angle_with_values(evidence)
-    if column and _on_grid(value) and value.max() > 2:
+    column = _angle_with_values(evidence) if value.max() > 2 and _on_grid(value) else ""
+    if column:
         yield Finding(
             "value_is_angle",
             "warning",
@@ -46,10 +46,11 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
 
 def _on_grid(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
     """Whether values are few and multiples of half a unit."""
-    different = np.unique(values)
-    steps = different / GRID_DEG
-    on = np.all(np.abs(steps - np.round(steps)) < 1e-6)
-    return bool(3 <= len(different) <= len(values) / 3 and on)
+    for some in (values[:LEAST], values):  # one that is not decides
+        steps = some / GRID_DEG
+        if not np.all(np.abs(steps - np.round(steps)) < 1e-6):
+            return False
+    return 3 <= len(np.unique(values)) <= len(values) / 3
 
 
 def _angle_with_values(evidence: Evidence) -> str:

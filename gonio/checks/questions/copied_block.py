@@ -19,16 +19,19 @@ MOST_INCIDENCES = 400
 def ask(evidence: Evidence) -> Iterator[Finding]:
     """Blocks of different theta_i whose values agree to all digits, line by line."""
     n = evidence.n_incidences
-    if not 2 <= n <= MOST_INCIDENCES:
+    if not 2 <= n <= MOST_INCIDENCES or evidence.repeated_values < DISTINCT:
         return
     blocks = [evidence.of_incidence(number) for number in range(n)]
     copies, compared = [], 0
+    theta = np.array([evidence.theta_i[block[0]] for block in blocks])
+    size = np.array([len(block) for block in blocks])
     for a in range(n):
-        for b in range(a + 1, n):
-            # With the sample turned, values agree by symmetry.
-            if abs(evidence.theta_i[blocks[a][0]] - evidence.theta_i[blocks[b][0]]) < 1e-4:
-                continue
-            compared += 1
+        # With the sample turned, values agree by symmetry.
+        other = np.abs(theta[a + 1 :] - theta[a]) >= 1e-4
+        compared += int(np.count_nonzero(other))
+        small, large = np.minimum(size[a], size[a + 1 :]), np.maximum(size[a], size[a + 1 :])
+        other &= (small >= LEAST) & (large <= 1.25 * small)
+        for b in (a + 1 + np.flatnonzero(other)).tolist():
             if _equal(evidence, blocks[a], blocks[b]):
                 copies.append((a, b))
     # Where most blocks agree, the values do not depend on the incidence: a formula without noise.
@@ -52,8 +55,6 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
 def _equal(evidence: Evidence, a: NDArray[np.int64], b: NDArray[np.int64]) -> bool:
     """Whether two blocks hold the same values, in the order of the file."""
     size = min(len(a), len(b))
-    if size < LEAST or max(len(a), len(b)) > 1.25 * size:
-        return False
     first, second = evidence.value[a[:size]], evidence.value[b[:size]]
     same = first == second
     count = int(np.count_nonzero(same))

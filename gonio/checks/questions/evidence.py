@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.checks.distinct import numbered
 from gonio.checks.pairs import Pairs, azimuth_between, reciprocal_pairs
 from gonio.checks.quantity import QuantityTest, quantity_of
 from gonio.checks.questions.lobe_fit import LobeFit, lobe_fit
@@ -54,8 +55,7 @@ class Evidence:
     def incidence(self) -> NDArray[np.int64]:
         """Index of the incident direction of each sample, to a hundredth of a degree."""
         phi = np.where(self.theta_i < 1e-6, 0.0, np.degrees(self.phi_i) % 360)
-        keys = np.round(np.stack([np.degrees(self.theta_i), phi], axis=1), 2)
-        return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+        return numbered(np.rint(100 * np.degrees(self.theta_i)), np.rint(100 * phi))
 
     @cached_property
     def n_incidences(self) -> int:
@@ -63,21 +63,40 @@ class Evidence:
 
     def of_incidence(self, number: int) -> NDArray[np.int64]:
         """The samples of an incident direction."""
-        return np.flatnonzero(self.incidence == number)
+        return self._incidences[number]
+
+    @cached_property
+    def _incidences(self) -> list[NDArray[np.int64]]:
+        few = self.n_incidences < 2**16  # such numbers are sorted without comparing them
+        number = self.incidence.astype(np.uint16) if few else self.incidence
+        order = np.argsort(number, kind="stable").astype(np.int64)
+        return np.split(order, np.cumsum(np.bincount(self.incidence))[:-1])
+
+    @cached_property
+    def vectors(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors towards the light and towards the viewer, each (N, 3)."""
+        w_i, w_r = self.samples.directions.vectors()
+        return np.broadcast_to(w_i, (self.n, 3)), np.broadcast_to(w_r, (self.n, 3))
+
+    @cached_property
+    def repeated_values(self) -> int:
+        """How many different values occur more than once."""
+        ordered = np.sort(self.value)
+        again = ordered[1:] == ordered[:-1]
+        return int(np.count_nonzero(again[1:] & ~again[:-1])) + int(again[:1].sum())
 
     @cached_property
     def geometry_class(self) -> NDArray[np.int64]:
         """Samples of one class have the same value on a reciprocal isotropic surface."""
         low, high = np.minimum(self.theta_i, self.theta_r), np.maximum(self.theta_i, self.theta_r)
-        keys = np.round(np.degrees(np.stack([low, high, np.abs(self.delta)], axis=1)), 2)
-        return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+        return numbered(*(np.rint(100 * np.degrees(a)) for a in (low, high, np.abs(self.delta))))
 
     @cached_property
     def neighbours(self) -> NDArray[np.int64]:
         """The nearest samples of each sample with almost the same incidence, shape (N, k)."""
         from scipy.spatial import cKDTree
 
-        w_i, w_r = self.samples.directions.vectors()
+        w_i, w_r = self.vectors
         # Samples of another incidence are near where an incidence has few samples only.
         points = np.hstack([3.0 * np.broadcast_to(w_i, (self.n, 3)), w_r])
         k = min(NEIGHBOURS + 1, self.n)
@@ -90,7 +109,7 @@ class Evidence:
     @cached_property
     def from_mirror(self) -> FloatArray:
         """Tilt of the half vector from the normal, radians; 0 in the mirror direction."""
-        w_i, w_r = self.samples.directions.vectors()
+        w_i, w_r = self.vectors
         half = w_i + w_r
         length = np.linalg.norm(half, axis=-1)
         tilt = np.arccos(np.clip(half[..., 2] / np.maximum(length, 1e-12), -1, 1))
@@ -99,7 +118,7 @@ class Evidence:
     @cached_property
     def phase(self) -> FloatArray:
         """Angle between light and viewer, radians; 0 in the direction of the light."""
-        w_i, w_r = self.samples.directions.vectors()
+        w_i, w_r = self.vectors
         return np.broadcast_to(np.arccos(np.clip(np.sum(w_i * w_r, axis=-1), -1, 1)), (self.n,))
 
     @cached_property

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.geometry import FloatArray, unit_vectors
 
@@ -78,7 +79,7 @@ def lobe_fit(
         return None
     n = len(WIDTHS)
     m, r, g, t, e, s = (list(range(k * n, (k + 1) * n)) for k in range(6))
-    rough = min(fit.left((a, b, 6 * n)) for a, b in combinations(r, 2))
+    rough = float(np.min(fit.left([(a, b, 6 * n) for a, b in combinations(r, 2)])))
     return LobeFit(
         as_written=fit.of_two(m, r),
         mirror=fit.of_one(m),
@@ -109,32 +110,40 @@ class _Fits:
     def __init__(self, y: FloatArray, root: FloatArray, lobes: Sequence[FloatArray]) -> None:
         columns = np.stack([root, *(root * lobe for lobe in lobes)], axis=1)
         self.products, self.on_y, self.y2 = columns.T @ columns, columns.T @ y, float(y @ y)
-        self.total = max(self._left([0]), 1e-300)
+        self.scale = np.sqrt(np.maximum(np.diag(self.products), 1e-300))
+        self.total = max(float(self._left(np.zeros((1, 1), np.int64))[0]), 1e-300)
 
-    def left(self, lobes: Iterable[int]) -> float:
-        """Share left by these lobes; one whose amplitude would be negative is dropped."""
-        return self._left([0, *(k + 1 for k in lobes)]) / self.total
+    def left(self, lobes: Sequence[Sequence[int]]) -> FloatArray:
+        """Share left by each set of lobes; one whose amplitude would be negative is dropped."""
+        use = np.asarray(lobes, np.int64) + 1
+        level = np.zeros((len(use), 1), np.int64)
+        return np.asarray(self._left(np.concatenate([level, use], axis=1)) / self.total)
 
     def of_one(self, lobes: Sequence[int]) -> float:
         """The least share left by one of the lobes."""
-        return min(self.left([k]) for k in lobes)
+        return float(np.min(self.left([(k,) for k in lobes])))
 
     def of_two(self, lobes: Sequence[int], others: Sequence[int]) -> float:
         """The share left by one lobe of each list, each the best beside the other's best."""
-        first = min(lobes, key=lambda k: self.left([k]))
-        second = min(others, key=lambda k: self.left([k]))
-        return min(
-            min(self.left([first, k]) for k in others),
-            min(self.left([k, second]) for k in lobes),
-        )
+        first = lobes[int(np.argmin(self.left([(k,) for k in lobes])))]
+        second = others[int(np.argmin(self.left([(k,) for k in others])))]
+        sets = [*((first, k) for k in others), *((k, second) for k in lobes)]
+        return float(np.min(self.left(sets)))
 
-    def _left(self, use: list[int]) -> float:
+    def _left(self, use: NDArray[np.int64]) -> FloatArray:
+        """Sum of squares left by each set of columns (M, K), of which the first is kept."""
+        scale, on_y = self.scale[use], self.on_y[use]
+        sums = self.products[use[:, :, None], use[:, None, :]]
+        ridge = sums / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(use.shape[1])
+        kept = np.ones(use.shape, bool)
         while True:
-            sums = self.products[np.ix_(use, use)]
-            scale = np.sqrt(np.maximum(np.diag(sums), 1e-300))
-            ridge = sums / np.outer(scale, scale) + 1e-12 * np.eye(len(use))
-            amplitude = np.linalg.solve(ridge, self.on_y[use] / scale) / scale
-            kept = [k for k, a in zip(use, amplitude.tolist(), strict=True) if a >= 0 or k == 0]
-            if len(kept) == len(use):
-                return max(0.0, self.y2 - float(amplitude @ self.on_y[use]))
-            use = kept
+            # Columns that are dropped have the row of a unit matrix and nothing to explain.
+            among = kept[:, :, None] & kept[:, None, :]
+            system = np.where(among, ridge, np.eye(use.shape[1]))
+            wanted = np.where(kept, on_y / scale, 0.0)
+            amplitude = np.linalg.solve(system, wanted[:, :, None])[:, :, 0] / scale
+            negative = kept & (amplitude < 0)
+            negative[:, 0] = False
+            if not negative.any():
+                return np.maximum(0.0, self.y2 - np.sum(amplitude * on_y, axis=1))
+            kept &= ~negative

@@ -47,6 +47,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
 
 def _codes(value: FloatArray) -> list[float]:
     """The values that are codes, by size."""
+    if max(NEGATIVE) < value.min() and value.max() < min(POSITIVE):
+        return []
     huge = np.abs(value) >= HUGE
     suspects: NDArray[np.bool_] = huge | np.isin(value, NEGATIVE + POSITIVE)
     if not suspects.any():

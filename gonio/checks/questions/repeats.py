@@ -17,11 +17,15 @@ AT_POLE = 0.2  # the same where they differ in an azimuth that means nothing
 ORDERED = 0.1  # the same where the repeats follow the same order everywhere
 IN_ORDER = 0.9  # share of the spread that the order of the lines explains
 FACTOR = 8.0  # times the stated uncertainty
+MULTIPLIER = 6364136223846793005  # odd and with bits in no order (Knuth)
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     """Equal directions with values that differ by more than noise."""
-    group, count = _directions(evidence)
+    key = _directions(evidence)
+    if not _enough(key):
+        return
+    _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     several = count[group] > 1
     usable = several & (evidence.value > 0.3 * np.median(np.abs(evidence.value)))
     if len(np.unique(group[usable])) < LEAST:
@@ -48,14 +52,22 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         yield _finding(evidence, index, distinct, spread, ordered, pole=pole)
 
 
-def _directions(evidence: Evidence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Index of the direction pair of each sample, and how many samples each has."""
-    vectors = np.hstack([np.broadcast_to(w, (evidence.n, 3)) for w in
-                         evidence.samples.directions.vectors()])  # fmt: skip
-    _, group, count = np.unique(
-        np.round(vectors, 6) + 0.0, axis=0, return_inverse=True, return_counts=True
-    )
-    return group.ravel().astype(np.int64), count.astype(np.int64)
+def _directions(evidence: Evidence) -> NDArray[np.int64]:
+    """A number for the direction pair of each sample, the same for equal ones."""
+    key = np.zeros(evidence.n, np.int64)
+    for vector in evidence.vectors:
+        for component in range(3):
+            # Products wrap around: other directions have the same number once in 10^18 pairs.
+            key *= MULTIPLIER
+            key += np.rint(1e6 * vector[:, component]).astype(np.int64)
+    return key
+
+
+def _enough(key: NDArray[np.int64]) -> bool:
+    """Whether enough directions occur more than once."""
+    ordered = np.sort(key)
+    again = ordered[1:] == ordered[:-1]
+    return int(np.count_nonzero(again[1:] & ~again[:-1])) + int(again[:1].sum()) >= LEAST
 
 
 def _mean(values: FloatArray, group: NDArray[np.int64]) -> FloatArray:

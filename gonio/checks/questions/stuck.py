@@ -20,7 +20,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         return
     starts = np.flatnonzero(np.r_[True, value[1:] != value[:-1]])
     lengths = np.diff(np.r_[starts, len(value)])
-    long = [(s, n) for s, n in zip(starts.tolist(), lengths.tolist(), strict=True) if n >= RUN]
+    enough = lengths >= RUN
+    long = zip(starts[enough].tolist(), lengths[enough].tolist(), strict=True)
     runs = [
         np.arange(s, s + n)
         for s, n in long

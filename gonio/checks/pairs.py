@@ -13,6 +13,7 @@ from gonio.samples import ANGLES, BRDFSamples
 
 MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
 TOLERANCE_DEG = 2.0
+TRIED = 8  # times as many samples as pairs that are enough
 REACH = 1.5  # tolerances within which the nearest sample is looked for
 
 Indices = NDArray[np.int64]
@@ -61,7 +62,9 @@ class Pairing:
         return cls(len(k), float(np.median(off)), float(np.sqrt(np.mean(off**2))))
 
 
-def reciprocal_pairs(samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG) -> Pairs:
+def reciprocal_pairs(
+    samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG, *, enough: int | None = None
+) -> Pairs:
     """Pairs of samples with light and viewer exchanged, within a wavelength and channel.
 
     Parameters
@@ -69,6 +72,9 @@ def reciprocal_pairs(samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG)
     samples : BRDFSamples
     tolerance_deg : float
         Largest angle between each direction of a pair and its exact partner.
+    enough : int, optional
+        Partners are looked for of some samples only, evenly chosen, where these lead to so many
+        pairs.
     """
     tolerance = math.radians(tolerance_deg)
     group = groups(samples)
@@ -80,13 +86,13 @@ def reciprocal_pairs(samples: BRDFSamples, tolerance_deg: float = TOLERANCE_DEG)
     assumed = _one_azimuth(phi_i[theta_i > tolerance], tolerance)
     if not assumed:
         directions = Directions(theta_i[may], phi_i[may], theta_r[may], phi_r[may])
-        k, j = _partners(directions, directions.swapped(), group[may], tolerance)
+        k, j = _partners(directions, directions.swapped(), group[may], tolerance, enough)
         assumed = len(k) < MIN_PAIRS
     if assumed:
         zero = np.zeros(len(may))
         folded = Directions(theta_i[may], zero, theta_r[may], delta[may])
         exchanged = Directions(theta_r[may], zero, theta_i[may], delta[may])
-        k, j = _partners(folded, exchanged, group[may], tolerance)
+        k, j = _partners(folded, exchanged, group[may], tolerance, enough)
     return Pairs(may[k], may[j], assumed)
 
 
@@ -164,29 +170,46 @@ def _may_have_partner(
 
 
 def _partners(
-    have: Directions, want: Directions, group: Indices, tolerance: float
+    have: Directions,
+    want: Directions,
+    group: Indices,
+    tolerance: float,
+    enough: int | None = None,
 ) -> tuple[Indices, Indices]:
     """Pairs (k, j), each once: sample j lies in the direction `want` of the partner of sample k."""
-    from scipy.spatial import cKDTree
-
     if len(group) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     # Groups lie farther from each other than any two directions.
     separation = 10.0 * group[:, None]
     points = np.hstack([*have.vectors(), separation])
     wanted = np.hstack([*want.vectors(), separation])
+    if enough is not None and len(group) > TRIED * enough:
+        # Multiples of the golden ratio: spread evenly, without the period of a scan.
+        index = (np.arange(TRIED * enough) * 0.6180339887498949) % 1.0 * len(group)
+        pairs = _found(points, wanted, np.unique(index.astype(np.int64)), tolerance)
+        if len(pairs) >= enough:
+            return pairs[:, 0], pairs[:, 1]
+    pairs = _found(points, wanted, np.arange(len(group)), tolerance)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _found(points: FloatArray, wanted: FloatArray, some: Indices, tolerance: float) -> Indices:
+    """Pairs (P, 2) of some samples with the point nearest to where their partner is wanted."""
+    from scipy.spatial import cKDTree
+
     # A component that is the same everywhere adds nothing to a distance.
     varies = (np.ptp(points, axis=0) > 0) | np.any(wanted != points[0], axis=0)
     varies[0] = True
     joint_distance, nearest = cKDTree(points[:, varies]).query(
-        wanted[:, varies], distance_upper_bound=REACH * tolerance
+        wanted[some][:, varies], distance_upper_bound=REACH * tolerance
     )
-    k = np.flatnonzero(np.isfinite(joint_distance))
-    j = np.asarray(nearest[k], np.int64)
+    near = np.isfinite(joint_distance)
+    k, j = some[near], np.asarray(nearest[near], np.int64)
     distance = np.maximum(
         np.linalg.norm(points[j, :3] - wanted[k, :3], axis=1),
         np.linalg.norm(points[j, 3:6] - wanted[k, 3:6], axis=1),
     )
     keep = (distance <= tolerance) & (k != j)
-    pairs = np.unique(np.sort(np.stack([k[keep], j[keep]], axis=1), axis=1), axis=0)
-    return pairs[:, 0], pairs[:, 1]
+    low, high = np.minimum(k[keep], j[keep]), np.maximum(k[keep], j[keep])
+    n = len(points)
+    return np.column_stack(np.divmod(np.unique(low * n + high), n))

@@ -16,6 +16,7 @@ from gonio.geometry import FloatArray
 from gonio.samples import ANGLES, BRDFSamples
 
 NEIGHBOURS = 8
+PAIRS = 1500  # with light and viewer exchanged, which are enough
 SHOWN = 5  # samples that a sentence names
 
 
@@ -44,7 +45,7 @@ class Evidence:
     @cached_property
     def pairs(self) -> Pairs:
         """Samples and their partners with light and viewer exchanged."""
-        return reciprocal_pairs(self.samples)
+        return reciprocal_pairs(self.samples, enough=PAIRS)
 
     @cached_property
     def quantity(self) -> QuantityTest:

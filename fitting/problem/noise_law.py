@@ -116,7 +116,9 @@ def noise_law(value: FloatArray, u: FloatArray, f: FloatArray) -> NoiseLaw | Non
         return None
     quantum = rounding(u)
     # Of laws in f twice the best deviation is accepted: this one leaves no room for the readings.
-    if any(_least_squares(f, u, quantum, terms)[1] < NOTICEABLE / 2 for terms in TERMS[:2]):
+    constant = np.ptp(u[:FIRST]) < EXPLAINS * u[0]
+    simple = [[0], [2]] if constant else [[2], [0]]
+    if any(_least_squares(f, u, quantum, terms)[1] < NOTICEABLE / 2 for terms in simple):
         return None
     law, by_reading = _fitted(value, u, quantum)
     _, by_model = _fitted(f, u, quantum)

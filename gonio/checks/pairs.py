@@ -13,7 +13,7 @@ from gonio.samples import ANGLES, BRDFSamples
 
 MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
 TOLERANCE_DEG = 2.0
-TRIED = 8  # times as many samples as pairs that are enough
+TRIED = 5  # times as many samples as pairs that are enough
 REACH = 1.5  # tolerances within which the nearest sample is looked for
 
 Indices = NDArray[np.int64]
@@ -200,7 +200,8 @@ def _found(points: FloatArray, wanted: FloatArray, some: Indices, tolerance: flo
     # A component that is the same everywhere adds nothing to a distance.
     varies = (np.ptp(points, axis=0) > 0) | np.any(wanted != points[0], axis=0)
     varies[0] = True
-    joint_distance, nearest = cKDTree(points[:, varies]).query(
+    # Many directions of incidence are the same, which makes medians slow.
+    joint_distance, nearest = cKDTree(points[:, varies], balanced_tree=False).query(
         wanted[some][:, varies], distance_upper_bound=REACH * tolerance
     )
     near = np.isfinite(joint_distance)

@@ -16,7 +16,7 @@ from gonio.geometry import FloatArray
 from gonio.samples import ANGLES, BRDFSamples
 
 NEIGHBOURS = 8
-PAIRS = 1500  # with light and viewer exchanged, which are enough
+PAIRS = 800  # with light and viewer exchanged, which are enough
 SHOWN = 5  # samples that a sentence names
 
 

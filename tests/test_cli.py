@@ -207,7 +207,7 @@ def test_wrong_key_of_an_instrument_file(gonio, rig, tmp_path):
     [
         ("instruments lbl", "unknown instrument 'lbl': did you mean 'lbl1992'?"),
         ("instruments --toml", "--toml prints the file of one preset; without --json, give one of"),
-        ("instruments ideal12 --toml --json", "and no --json"),
+        ("instruments ideal12 --toml --json", "without --json, give one of"),
         ("materials foma", "unknown material 'foma': did you mean 'foam'?"),
         ("models wrd --json", "unknown model 'wrd': did you mean 'ward'?"),
     ],

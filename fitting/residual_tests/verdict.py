@@ -20,12 +20,13 @@ from gonio.fitting.residual_tests.report import ResidualReport, examine_parts
 from gonio.fitting.residual_tests.standardised import LEAST, standardise
 from gonio.fitting.residual_tests.usefulness import explained_share, worse_than_constant
 from gonio.fitting.residual_tests.whitened import Base
-from gonio.fitting.result.verdict import Class, Verdict
+from gonio.fitting.result.verdict import Class, Verdict, of_f, per_cent
 from gonio.wording import counted
 
 TOLERANCE = 0.01  # of f: error of the model up to which it fits where nothing is stated
 HIDDEN = 0.2  # of f: an error as large that the noise may hide leaves all undecided
 UNDERSTATED = 3.0  # factor by which noise may be stated too small before the model is blamed
+BLACK = "the fitted f is 0 at every sample, so that no error has a size in per cent of f"
 STANDS_OUT = 4.0  # standard deviations by which a group does that the verdict names
 
 
@@ -79,6 +80,8 @@ def judge(
             found = _within_shared(_by_noise(base, reports, tolerance, shared=True))
     else:
         found = _by_structure(base, reports, tolerance)
+    if found.kind != "fits" and not np.any(base.f):
+        found = replace(found, size=None, interval=None, reason=BLACK)
     return _with_use(_verdict(found, reports, tolerance), minimum, reports, known=known)
 
 
@@ -120,7 +123,7 @@ def _verdict(found: _Finding, reports: Sequence[ResidualReport], tolerance: floa
     worst = max(groups, key=lambda g: abs(g.relative or 0.0))
     assert worst.relative is not None
     side = "low" if worst.relative > 0 else "high"
-    by = _per_cent(abs(worst.relative))
+    by = per_cent(abs(worst.relative))
     reason = f"{found.reason}, most (too {side} by {by}) {worst.text}"
     return replace(verdict, reason=reason, where=worst.text, most=worst.relative)
 
@@ -147,7 +150,7 @@ def _with_use(
     verdict = replace(verdict, explained=explained, worse_than_lambert=worse)
     words = []
     if explained < 0.5:
-        words.append(f"it explains {_per_cent(max(explained, 0.0))} of the variance of f")
+        words.append(f"it explains {per_cent(max(explained, 0.0))} of the variance of f")
     if worse:
         words.append("a constant predicts unseen incidences better")
     return replace(verdict, reason="; ".join([verdict.reason, *words]))
@@ -174,36 +177,36 @@ def _by_noise(
 def _class_by_noise(
     excess: Excess, p: float, p_structure: float, tolerance: float
 ) -> tuple[Class, str]:
-    size, upper = _per_cent(excess.size), _per_cent(excess.interval[1])
+    size, upper = of_f(excess.size), of_f(excess.interval[1])
     if p >= ALARM:
         if excess.dof < LEAST:
             few = counted(int(excess.dof), "degree") + " of freedom"
             return "undecided", f"{few} cannot tell a right model from a wrong one"
         if excess.interval[1] > max(HIDDEN, tolerance):
-            return "undecided", f"the noise may hide an error of the model of {upper} of f"
-        return "fits", f"no error of the model beyond {upper} of f"
-    limit = _per_cent(tolerance)
+            return "undecided", f"the noise may hide an error of the model of {upper}"
+        return "fits", f"no error of the model beyond {upper}"
+    limit = per_cent(tolerance)
     if excess.interval[1] <= tolerance and excess.interval[0] == 0:
-        return "fits", f"no error of the model beyond {upper} of f, within the tolerance of {limit}"
+        return "fits", f"no error of the model beyond {upper}, within the tolerance of {limit}"
     if excess.interval[1] <= tolerance:
-        return "fits", f"typically off by {size} of f, within the tolerance of {limit}"
+        return "fits", f"typically off by {size}, within the tolerance of {limit}"
     if excess.size <= tolerance:
         return "undecided", (
-            f"an error of the model is seen, of {size} of f or so, and it is not clear whether it "
+            f"an error of the model is seen, of {size} or so, and it is not clear whether it "
             f"is above the tolerance of {limit}"
         )
     ratio = np.sqrt(excess.chi2 / max(excess.dof, 1.0))
     if excess.p >= ALARM:
         return "undecided", (
             "the residuals follow each other but are no larger than the stated noise: correlated "
-            f"errors, or an error of the model of {size} of f or so"
+            f"errors, or an error of the model of {size} or so"
         )
     if p_structure >= ALARM and ratio <= UNDERSTATED and excess.dof >= LEAST:
         return "undecided", (
             f"the residuals are {ratio:.2g} times the stated noise but have no structure: u_brdf "
-            f"is too small, directions are uncertain, or the model is off by {size} of f"
+            f"is too small, directions are uncertain, or the model is off by {size}"
         )
-    return "does_not_fit", f"typically off by {size} of f"
+    return "does_not_fit", f"typically off by {size}"
 
 
 # ---------------------------------------------------------------- unknown noise
@@ -223,30 +226,24 @@ def _by_structure(base: Base, reports: Sequence[ResidualReport], tolerance: floa
     everything = float(np.sqrt(float(left.z @ left.z) / left.dof / max(level, 1e-300)))
     misfit = misfit_test_of(base) if len(reports) != 1 else None
     p = reports[0].p_structure if misfit is None else misfit.p
-    whole, limit = _per_cent(everything), _per_cent(tolerance)
+    whole, limit = of_f(everything), per_cent(tolerance)
     if everything <= tolerance:
-        reason = f"all residuals together are {whole} of f, within the tolerance of {limit}"
+        reason = f"all residuals together are {whole}, within the tolerance of {limit}"
         return _Finding("fits", p, everything, (0.0, everything), reason)
     if p >= ALARM:
         reason = (
-            f"the noise is not stated: residuals of {whole} of f without structure may be noise "
+            f"the noise is not stated: residuals of {whole} without structure may be noise "
             "or error of the model"
         )
         return _Finding("undecided", p, None, (0.0, everything), reason)
     size = float(np.sqrt(_share(reports))) * everything
     if size <= tolerance:
-        reason = f"residuals of {whole} of f hold an error of the model of {_per_cent(size)} or so"
+        reason = f"residuals of {whole} hold an error of the model of {per_cent(size)} or so"
         return _Finding("undecided", p, size, (0.0, everything), reason)
-    return _Finding(
-        "does_not_fit", p, size, (0.0, everything), f"typically off by {_per_cent(size)} of f"
-    )
+    return _Finding("does_not_fit", p, size, (0.0, everything), f"typically off by {of_f(size)}")
 
 
 def _share(reports: Sequence[ResidualReport]) -> float:
     """Share of the residual variance that is error of the model, over all parts."""
     total = sum(report.n for report in reports)
     return sum(report.n * report.model_share for report in reports) / max(total, 1)
-
-
-def _per_cent(fraction: float) -> str:
-    return f"{100 * fraction:.2g} %" if fraction < 1 else f"{100 * fraction:.0f} %"

@@ -11,7 +11,7 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.result.noncentrality import noncentrality
 from gonio.fitting.result.prediction import predict
 from gonio.fitting.result.record import FitRecord
-from gonio.fitting.result.verdict import WORDS, Class
+from gonio.fitting.result.verdict import WORDS, Class, of_f
 from gonio.geometry import FloatArray, rotated
 from gonio.models import Model
 from gonio.samples import BRDFSamples, SharedTerm
@@ -143,14 +143,14 @@ def _class(p: float, size: float, upper: float, n: int) -> tuple[Class, str]:
     if p >= ALARM and n < FEW:
         return "undecided", f"{n} samples cannot tell a right prediction from a wrong one"
     if p >= ALARM and upper > HIDDEN:
-        return "undecided", f"the noise may hide an error of {_per_cent(upper)} of f"
+        return "undecided", f"the noise may hide an error of {of_f(upper)}"
     if p >= ALARM:
-        return "fits", f"no error of the prediction beyond {_per_cent(upper)} of f"
+        return "fits", f"no error of the prediction beyond {of_f(upper)}"
     if upper <= TOLERANCE:
-        return "fits", f"typically off by {_per_cent(size)} of f"
+        return "fits", f"typically off by {of_f(size)}"
     if size <= TOLERANCE:
-        return "undecided", f"an error of {_per_cent(size)} of f or so is seen"
-    return "does_not_fit", f"typically off by {_per_cent(size)} of f"
+        return "undecided", f"an error of {of_f(size)} or so is seen"
+    return "does_not_fit", f"typically off by {of_f(size)}"
 
 
 def _without_noise(record: FitRecord, f: FloatArray, residual: FloatArray, bias: float) -> Score:
@@ -159,13 +159,13 @@ def _without_noise(record: FitRecord, f: FloatArray, residual: FloatArray, bias:
     floor = 1e-3 * float(np.mean(f**2))
     size = float(np.sqrt(np.mean(residual**2 / np.maximum(f**2, floor))))
     own = None if record.verdict is None else record.verdict.interval
-    text = f"all residuals are {_per_cent(size)} of f, and no noise is stated"
+    text = f"all residuals are {of_f(size)}, and no noise is stated"
     kind: Class = "undecided"
     if size <= TOLERANCE:
         kind = "fits"
     elif own is not None and n >= FEW and size > WORSE * own[1]:
         kind = "does_not_fit"
-        text += f"; on its own samples the fit is off by {_per_cent(own[1])}"
+        text += f"; on its own samples the fit is off by {of_f(own[1])}"
     return Score(kind, n, size, (0.0, size), bias, None, None, None, text)
 
 
@@ -201,7 +201,3 @@ def _change(
 
 def _unit(w: FloatArray) -> FloatArray:
     return np.ascontiguousarray(w / np.linalg.norm(w, axis=1, keepdims=True))
-
-
-def _per_cent(fraction: float) -> str:
-    return f"{100 * fraction:.2g} %" if fraction < 1 else f"{100 * fraction:.0f} %"

@@ -14,6 +14,30 @@ WORDS = {
 }
 
 
+def per_cent(fraction: float) -> str:
+    """A fraction in words; one that is many times the whole is no percentage.
+
+    Examples
+    --------
+    >>> per_cent(0.0064), per_cent(3.5), per_cent(2.3e5)
+    ('0.64 %', '350 %', '2.3e+05 times')
+    """
+    if fraction >= 10:
+        return f"{fraction:.2g} times"
+    return f"{100 * fraction:.2g} %" if fraction < 1 else f"{100 * fraction:.0f} %"
+
+
+def of_f(fraction: float) -> str:
+    """A fraction of f in words.
+
+    Examples
+    --------
+    >>> of_f(0.0064), of_f(2.3e5)
+    ('0.64 % of f', '2.3e+05 times f')
+    """
+    return per_cent(fraction) + (" f" if fraction >= 10 else " of f")
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Whether the model describes the samples.

@@ -13,8 +13,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from numba.core import event
-
 from gonio import progress
 
 DELAY_S = 1.0  # of compiling before anything is said
@@ -74,23 +72,24 @@ class Clock:
 
 def watch() -> None:
     """Follow the compilations of numba, if somebody wants to hear of them."""
-    if progress.on_compiling is not None and not _listeners:
-        _listeners.append(_Listener())
-        event.register("numba:compile", _listeners[0])
+    if progress.on_compiling is None or _listeners:
+        return
+    from numba.core import event  # heavy
+
+    clock = Clock(_say)
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            clock.start(str(event.data["dispatcher"].py_func.__module__))
+
+        def on_end(self, event: Any) -> None:
+            clock.end()
+
+    _listeners.append(Listener())
+    event.register("numba:compile", _listeners[0])
 
 
-class _Listener(event.Listener):  # type: ignore[misc]
-    def __init__(self) -> None:
-        self._clock = Clock(_say)
-
-    def on_start(self, event: Any) -> None:
-        self._clock.start(str(event.data["dispatcher"].py_func.__module__))
-
-    def on_end(self, event: Any) -> None:
-        self._clock.end()
-
-
-_listeners: list[_Listener] = []
+_listeners: list[Any] = []
 
 
 def _say(text: str) -> None:

@@ -229,8 +229,8 @@ def facts(problem: Problem) -> list[str]:
     across = np.sin(theta_i) * np.sin(phi_i - phi_i[0])
     if np.max(np.abs(off)) < 0.01 and np.max(np.abs(across)) < 0.01 and np.any(theta_i > 0.01):
         gaps.append(f"only one plane was measured, phi = {np.degrees(phi_i[0]) % 180:.3g} deg")
-    mirror = unit_vectors(theta_i, phi_i + np.pi)
-    nearest = float(np.max(np.sum(mirror * unit_vectors(theta_r, phi_r), axis=-1)))
+    along = np.sin(theta_i) * np.sin(theta_r) * np.cos(phi_r - phi_i)
+    nearest = float(np.max(np.cos(theta_i) * np.cos(theta_r) - along))
     if nearest < np.cos(np.radians(10.0)):
         gap = np.degrees(np.arccos(np.clip(nearest, -1, 1)))
         gaps.append(f"no sample within {gap:.0f} deg of the mirror direction")

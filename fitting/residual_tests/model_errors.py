@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.groups import classes
+from gonio.fitting.residual_tests.smooth_basis import Columns, FullColumns, SineProducts
 from gonio.geometry import FloatArray, unit_vectors
 
 WIDE, NARROW = 0.4, 0.15  # correlation lengths, as shares of the range of each coordinate
@@ -23,7 +24,7 @@ AZIMUTH = "error that varies with the direction of the half vector on the sample
 FACTOR = "factor of each incidence"
 
 
-def error_columns(problem: Problem, level: FloatArray) -> dict[str, FloatArray]:
+def error_columns(problem: Problem, level: FloatArray) -> dict[str, Columns]:
     """Columns C by kind of error, so that C C^T is the covariance of such an error of the model.
 
     Parameters
@@ -49,11 +50,11 @@ def error_columns(problem: Problem, level: FloatArray) -> dict[str, FloatArray]:
         FINE: smooth_columns(pair, (12, 9), NARROW),
         VIEW: smooth_columns(view, (6, 4, 4), WIDE),
         AZIMUTH: smooth_columns(half[:, :2], (9, 9), NARROW),
-        FACTOR: factors,
+        FACTOR: FullColumns(factors),
     }
 
 
-def smooth_columns(x: FloatArray, orders: Sequence[int], share: float) -> FloatArray:
+def smooth_columns(x: FloatArray, orders: Sequence[int], share: float) -> SineProducts:
     """Columns C with C C^T near a Matern-3/2 covariance of the coordinates x (N, D).
 
     Its lengths are `share` of the range of each coordinate. The columns are eigenfunctions of the
@@ -68,26 +69,13 @@ def smooth_columns(x: FloatArray, orders: Sequence[int], share: float) -> FloatA
     centre = (x.max(axis=0) + x.min(axis=0)) / 2
     half = np.maximum(reach / 2, 1e-6) * BEYOND
     rate = np.sqrt(3) / (share * (reach + 1e-9))
-    columns = np.ones((1, len(x)))
+    phases, sizes = [], []
     for axis, most in enumerate(orders):
         omega = np.pi * np.arange(1, most + 1) / (2 * half[axis])
         density = 4 * rate[axis] ** 3 / (rate[axis] ** 2 + omega**2) ** 2
-        waves = _sines(omega[0] * (x[:, axis] - centre[axis] + half[axis]), most)
-        waves *= np.sqrt(density / half[axis])[:, None]
-        columns = (columns[:, None, :] * waves[None]).reshape(-1, len(x))
-    return np.asarray(columns.T)
-
-
-def _sines(angle: FloatArray, most: int) -> FloatArray:
-    """Sines of 1 to `most` times an angle, (most, N)."""
-    sines = np.empty((most, len(angle)))
-    sines[0] = np.sin(angle)
-    twice = 2 * np.cos(angle)
-    for k in range(1, most):
-        sines[k] = twice * sines[k - 1]
-        if k > 1:
-            sines[k] -= sines[k - 2]
-    return sines
+        phases.append(omega[0] * (x[:, axis] - centre[axis] + half[axis]))
+        sizes.append(np.sqrt(density / half[axis]))
+    return SineProducts(phases, sizes)
 
 
 def incidence_of(problem: Problem) -> NDArray[np.int64]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.quadratic_forms import component_test
+from gonio.fitting.residual_tests.smooth_basis import Columns
 from gonio.fitting.residual_tests.whitened import ROUNDING, Base, scatter_weights
 from gonio.geometry import FloatArray
 
@@ -63,24 +64,25 @@ class Standardised:
         """Degrees of freedom of |z|^2."""
         return int(self.z.size - self.q.shape[1])
 
-    def component_test(self, columns: FloatArray, where: slice) -> float | None:
+    def component_test(self, columns: Columns, where: slice) -> float | None:
         """p-value of no error of the model with the covariance C C^T.
 
         Parameters
         ----------
-        columns : ndarray, shape (n, C)
-            C in units of the independent noise, over the samples of one part; 0 in all others.
+        columns : Columns
+            C, (n, C), in units of the independent noise, over the samples of one part; 0 in all
+            others.
         where : slice
             Those samples.
         """
-        gram = columns.T @ columns
+        gram = columns.gram()
         size2 = max(float(np.max(np.diag(gram))), 1e-300)
-        by_fit = self._colored_q[where].T @ columns
-        gram -= by_fit.T @ by_fit
+        by_fit = columns.on(self._colored_q[where])
+        gram -= by_fit @ by_fit.T
         if self.shared.shape[1]:
-            by_shared = self.shared[where].T @ columns
+            by_shared = self.shared[where].T @ columns.full
             gram -= by_shared.T @ self.inner @ by_shared
-        score = float(np.sum((columns.T @ self._colored_z[where]) ** 2))
+        score = float(np.sum(columns.on(self._colored_z[where][:, None]) ** 2))
         return component_test(gram / size2, score / size2, float(self.z @ self.z), self.dof)
 
     @cached_property

@@ -64,7 +64,7 @@ def _sums(left: Whitened, grouping: Grouping) -> tuple[FloatArray, FloatArray]:
         cross = np.zeros((k, left.dense.shape[1]))
         for c in range(left.dense.shape[1]):
             cross[:, c] = np.bincount(group, weights=left.dense[inside, c], minlength=k)
-    return t, np.diag(counts) - cross @ left.inverse @ cross.T
+    return np.asarray(t, float), np.diag(counts) - cross @ left.inverse @ cross.T
 
 
 def group_test(left: Whitened, name: str, grouping: Grouping) -> Test | None:

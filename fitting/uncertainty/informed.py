@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,12 +70,12 @@ class Informed:
         """Change of each parameter along each direction, (P, R); 0 where it is not determined."""
         return np.asarray(np.where(self.determined[:, None], self.whole, 0.0))
 
-    @property
+    @cached_property
     def leverage(self) -> FloatArray:
         """Share of its own fitted value that each sample decides, (N,)."""
         return np.asarray(np.sum(self.q**2, axis=1))
 
-    @property
+    @cached_property
     def gain(self) -> FloatArray:
         """Change of the parameters for a change of each standardised value, (N, P)."""
         return np.asarray(self.q @ self.back.T)

@@ -145,5 +145,5 @@ class _Fits:
             negative = kept & (amplitude < 0)
             negative[:, 0] = False
             if not negative.any():
-                return np.maximum(0.0, self.y2 - np.sum(amplitude * on_y, axis=1))
+                return np.asarray(np.maximum(0.0, self.y2 - np.sum(amplitude * on_y, axis=1)))
             kept &= ~negative

@@ -42,8 +42,9 @@ class TexelFit:
     parameters : ndarray, shape (T, P)
         Python units (radians for angles); NaN where the texel has no data.
     stderr : ndarray, shape (T, P)
-        Standard uncertainty; NaN at a bound, where the data do not determine the parameter, where
-        it is fixed, and where the fit did not converge.
+        Standard uncertainty by the noise alone (`gonio.fit` allows for misfit as well); NaN at a
+        bound, where the data do not determine the parameter, where it is fixed, and
+        where the fit did not converge.
     chi2 : ndarray, shape (T,)
         Weighted sum of squares of the residuals.
     n_samples : ndarray of int32, shape (T,)

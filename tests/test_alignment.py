@@ -447,8 +447,10 @@ class TestFrames:
             result = gonio.fit(samples, model="ward").parameters
             stderr[how] = {n: result[n].stderr / true[n] for n in true}
             z[how] = {n: abs(result[n].value / true[n] - 1) / stderr[how][n] for n in true}
-        # A degree of misalignment spoils the fit; aligned, it is within its uncertainty.
-        assert max(z["as stated"].values()) > 5
+        # A degree of misalignment spoils the fit, although its uncertainties allow for misfit;
+        # aligned, it is within them.
+        assert max(z["as stated"].values()) > 3
+        assert max(stderr["as stated"].values()) > 2 * max(stderr["aligned"].values())
         assert max(z["aligned"].values()) < 4
         assert max(stderr["aligned"].values()) < 0.01
         modes = [t.name for t in samples.shared if t.name.startswith("geometry, mode")]

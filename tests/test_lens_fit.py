@@ -409,7 +409,7 @@ def test_parallel_boards_do_not_tell_the_lens():
     tilts = rng_of(13).normal(0, np.radians(0.7), (10, 3)) * [1, 1, 30]
     shifts = rng_of(14).uniform([-180, -150, 70], [20, 30, 160], (10, 3))
     poses = [Pose(tilt, shift) for tilt, shift in zip(tilts, shifts, strict=True)]
-    with pytest.raises(DataError, match=r"all boards are parallel within \d\.\d deg, which does"):
+    with pytest.raises(DataError, match=r"all boards are parallel within \d\.\d deg, so that"):
         fit_lens(views_of(poses, rng_of(15), 0.05), GUESS)
 
 

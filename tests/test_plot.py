@@ -416,7 +416,7 @@ def test_refusals_are_one_clear_sentence(run, fitted, tmp_path):
     assert "the fit was made to 7; it has changed since" in refused(fitted, code=3)
     fitted.with_name("shiny.nc").unlink()
     text = refused(fitted, code=3)
-    assert "shiny.nc is neither in the current folder nor beside the fit. Change to the" in text
+    assert "shiny.nc is neither in the current folder nor beside the fit. Give the" in text
     edited(fitted, source={})
     assert "the fit does not say which samples it was made to" in refused(fitted, code=3)
     assert not list(tmp_path.glob("*.jpg")) + list(tmp_path.glob(".*"))
@@ -669,7 +669,7 @@ def test_sizes_that_no_picture_can_have_are_refused(run, fitted, tmp_path, words
 
 def test_a_page_is_not_squeezed(run, fitted, tmp_path):
     code, err = run("plot", fitted, "--size", "160x100mm", "-o", tmp_path / "a.png")
-    assert (code, "the whole page needs 8.5 x " in err) == (2, True)
+    assert (code, "the whole page needs at least 8.5 x " in err) == (2, True)
     words = ("--kind", "slices", "--size", "160x100mm", "--dpi", "100")
     assert run("plot", fitted, *words, "-o", tmp_path / "a.png")[0] == 0
     assert extent(tmp_path / "a.png") == (629, 393)

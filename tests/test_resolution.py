@@ -301,7 +301,7 @@ def test_picture_of_an_instrument_that_sees_nothing():
     [
         (("--resolution",), ConfigurationError, "--resolution traces one instrument"),
         (("ideal12", "--map", "x.png"), ConfigurationError, "with --map OUT.png if you like"),
-        (("ideal12", "--resolution", "--toml"), ConfigurationError, "and no --toml"),
+        (("ideal12", "--resolution", "--toml"), ConfigurationError, "without --toml, give one of"),
         (("ideal12", "--resolution", "--map", "x.gif"), ConfigurationError, "x.gif: pictures are"),
         (("ideal12", "--resolution", "--map", "no/x.png"), DataError, "the folder no does not"),
     ],

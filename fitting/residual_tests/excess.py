@@ -87,7 +87,9 @@ def excess_of(base: Base, *, shared: bool = True) -> Excess:
     counted = counted_dof(problem, variance, dof)
     p = float(stats.chi2.sf(chi2 * counted / max(dof, 1.0), max(counted, 1.0)))
     scale = dof / max(counted, 1.0)
-    low, high = noncentrality(chi2 / scale, counted)
+    low, _ = noncentrality(chi2 / scale, counted)
+    # Residuals smaller than their noise do not make it see more than it can.
+    _, high = noncentrality(max(chi2 / scale, counted), counted)
     total = max(float(np.sum(information)) * dof / problem.n, 1e-300)
     beyond = _beyond_statement(draws, z, root * f) if draws.shape[1] else 0.0
     size, least, most = (

@@ -71,7 +71,7 @@ def judge(
     >>> samples = BRDFSamples(Directions(0.3, 0.0, theta, np.pi), 0.1 * (1 + noise), 0.001)
     >>> minimum = find_minimum(samples, get("lambert"))
     >>> verdict_of(minimum).line
-    'verdict: fits: no error of the model beyond 0.23 % of f'
+    'verdict: fits: no error of the model beyond 0.49 % of f'
     """
     known = minimum.problem.samples.u_independent is not None
     if known:

@@ -67,7 +67,8 @@ def lobe_fit(
     value, theta_i, theta_r, delta = (a[keep] for a in (value, theta_i, theta_r, delta))
     if len(value) < LEAST or np.median(value) <= 0:
         return None
-    root = 1 / (np.maximum(value, 0) + np.median(value))
+    value = value / np.median(value)  # any unit, without overflow
+    root = 1 / (np.maximum(value, 0) + 1)
     mirror, retro, growing = _lobes(theta_i, theta_r, delta)
     turned, _, _ = _lobes(theta_i, theta_r, delta + np.pi)
     high, high_retro, _ = _lobes(np.pi / 2 - theta_i, np.pi / 2 - theta_r, delta)

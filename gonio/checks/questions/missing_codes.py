@@ -50,6 +50,8 @@ def _codes(value: FloatArray) -> list[float]:
     if max(NEGATIVE) < value.min() and value.max() < min(POSITIVE):
         return []
     huge = np.abs(value) >= HUGE
+    if huge.all():
+        return []  # a unit that nobody can mean, and no codes among readings
     suspects: NDArray[np.bool_] = huge | np.isin(value, NEGATIVE + POSITIVE)
     if not suspects.any():
         return []

@@ -39,7 +39,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "console"]
 exclude_patterns = ["_ext", "examples", "recovery", "papers"]
 nitpicky = True
 # A name in backquotes may be a parameter or a field, which have no place to link to.
-nitpick_ignore_regex = [("py:obj", ".*")]
+# The questions are a table of the file formats' page; their records have no page.
+nitpick_ignore_regex = [("py:obj", ".*"), ("py:class", r"gonio\.checks\.questions\..*")]
 
 myst_enable_extensions = ["deflist"]
 myst_heading_anchors = 3

@@ -34,7 +34,7 @@ def modules_in(package: str, *, private: bool = True) -> Iterator[ModuleType]:
     Examples
     --------
     >>> [module.__name__.rpartition(".")[2] for module in modules_in("gonio.formats")]
-    ['cornell', 'gonio_csv', 'nist_ptfe', 'samples_nc']
+    ['_signed_angles', '_text', 'cornell', 'gonio_csv', 'nist_ptfe', 'samples_nc']
     """
     for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
         if private or not info.name.startswith("_"):
@@ -64,7 +64,7 @@ def records_in(package: str, name: str, kind: type[Record]) -> list[Record]:
     --------
     >>> from gonio.models import Model
     >>> records_in("gonio.models", "MODEL", Model)[0].name
-    'ashikhmin_shirley'
+    'abg'
     """
     found = (getattr(module, name, None) for module in modules_in(package))
     return [record for record in found if isinstance(record, kind)]

@@ -59,6 +59,8 @@ def measurements(samples: BRDFSamples) -> Plausibility:
 
     The metadata of the samples keep what was left out, under ``reading``.
     """
+    if samples.image is not None:  # reduced by gonio: noise about 0 is noise
+        return Plausibility(samples, ())
     findings, bad = _asked(samples, of_values=True)
     if not bad:
         return Plausibility(samples, findings)
@@ -94,6 +96,8 @@ def plausible(samples: BRDFSamples) -> Plausibility:
     >>> len(found.samples), [finding.code for finding in found.findings]
     (11, ['missing_code'])
     """
+    if samples.image is not None:
+        return Plausibility(samples, ())
     screened = measurements(samples)
     before = [
         Finding(**{**record, "samples": tuple(record["samples"]), "lines": tuple(record["lines"])})

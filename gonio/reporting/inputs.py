@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import gonio.formats as formats
+from gonio.checks.plausibility import measurements
 from gonio.errors import ConfigurationError, DataError, GonioError
 from gonio.files import sha256_of
 from gonio.fitting.problem.copies import usable
@@ -114,7 +115,7 @@ def _samples(source: Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
     path = _find(str(name), source)
     if path.is_file():
         _require_unchanged(path, fit)
-    samples = _as_fitted(_read(path, reducer), fit)
+    samples = _as_fitted(measurements(_read(path, reducer)).samples, fit)
     if len(samples) != fit.n_samples:
         raise DataError(
             f"{name} holds {counted(len(samples), 'sample')} and the fit was made to "

@@ -25,7 +25,6 @@ wavelengths. The folder holds `cornell/garnet_red.brdf`, `cornell/krylon_blue.br
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import os
 import sys
@@ -39,8 +38,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import gonio
+from benchmarks.tables import write_rows
 from gonio import formats
-from gonio.files import atomic_path
 from gonio.fitting.result import Estimate, FitResult
 from gonio.samples import BRDFSamples
 
@@ -154,18 +153,6 @@ def table(found: list[Difference]) -> list[dict[str, object]]:
     return rows
 
 
-def write(path: Path, rows: list[dict[str, object]]) -> None:
-    """The table as CSV."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> int:
     """Run the campaign and write its table; it grows set by set."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -184,7 +171,7 @@ def main() -> int:
                 for kind, first in halves(samples, options.random)
             ]
             found += [difference for job in jobs for difference in job.result()]
-            write(options.output, table(found))
+            write_rows(options.output, FIELDS, table(found))
             print(name, file=sys.stderr)
     return 0
 

@@ -16,7 +16,6 @@ minutes a model.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -27,7 +26,7 @@ import numpy as np
 from scipy import stats
 
 import gonio
-from gonio.files import atomic_path
+from benchmarks.tables import write_rows
 from gonio.geometry import Directions
 from gonio.models import get as get_model
 from gonio.samples import BRDFSamples
@@ -114,18 +113,6 @@ def table(checks: Mapping[str, list[Check]]) -> list[dict[str, object]]:
     return rows
 
 
-def write(path: Path, rows: list[dict[str, object]]) -> None:
-    """The table as CSV."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> int:
     """Run the campaign and write its table; it grows model by model."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -141,7 +128,7 @@ def main() -> int:
             seeds = range(options.seed, options.seed + options.runs)
             jobs = [pool.submit(run, name, seed) for seed in seeds]
             checks[name] = [check for job in jobs for check in job.result()]
-            write(options.output, table(checks))
+            write_rows(options.output, FIELDS, table(checks))
             print(name, file=sys.stderr)
     return 0
 

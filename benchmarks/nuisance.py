@@ -25,7 +25,6 @@ lamp's draw is then one for each image. 200 runs on samples take two minutes, 24
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 import sys
 import tempfile
@@ -39,7 +38,7 @@ import numpy as np
 from scipy import stats
 
 import gonio
-from gonio.files import atomic_path
+from benchmarks.tables import write_rows
 from gonio.fitting.result import FitResult
 from gonio.geometry import Directions, FloatArray, angles, rotated, unit_vectors
 from gonio.instrument import preset
@@ -194,18 +193,6 @@ def table(checks: list[IntervalCheck]) -> list[dict[str, object]]:
     return rows
 
 
-def write(path: Path, rows: list[dict[str, object]]) -> None:
-    """The table as CSV; it grows run by run, so that an interrupted campaign leaves one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> int:
     """Run the campaign and write its table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -222,7 +209,7 @@ def main() -> int:
         jobs = [pool.submit(run, seed, frames=options.frames) for seed in seeds]
         for k, job in enumerate(jobs, start=1):
             checks += job.result()
-            write(options.output, table(checks))
+            write_rows(options.output, FIELDS, table(checks))
             print(f"\r{k} of {runs}", end="", file=sys.stderr)
     print(file=sys.stderr)
     return 0

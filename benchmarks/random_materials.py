@@ -12,7 +12,6 @@ every parameter that failed.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import sys
 import zlib
@@ -25,8 +24,8 @@ import numpy as np
 
 import gonio
 from benchmarks.sbc_sets import DEG, some_directions
+from benchmarks.tables import write_rows
 from gonio import models
-from gonio.files import atomic_path
 from gonio.fitting.result import Estimate, FitResult
 from gonio.samples import BRDFSamples
 
@@ -143,15 +142,6 @@ def summarised(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     return lines
 
 
-def write(path: Path, fields: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
-    """A table as CSV."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, fields)
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> int:
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -172,8 +162,13 @@ def main() -> int:
             print(f"{drawn[0]['model']} {drawn[0]['material']}: {', '.join(failed)}")
     for line in summarised(rows):
         print("  ".join(str(line[name]) for name in SUMMARY))
-    write(arguments.output / "random_materials.csv", SUMMARY, summarised(rows))
-    write(arguments.output / "random_failures.csv", FAILURES, [r for r in rows if r["reason"]])
+    write_rows(arguments.output / "random_materials.csv", SUMMARY, summarised(rows), ends="\r\n")
+    write_rows(
+        arguments.output / "random_failures.csv",
+        FAILURES,
+        [r for r in rows if r["reason"]],
+        ends="\r\n",
+    )
     return 0
 
 

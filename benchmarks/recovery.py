@@ -15,16 +15,15 @@ reduces by the law of reflection instead of eq. (3); `--materials a,b` selects m
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 import sys
 import tempfile
 from pathlib import Path
 
 import gonio
+from benchmarks.tables import write_rows
 from gonio.calibration.dome.pixel_map import MAPPINGS
 from gonio.calibration.reflector import Mapping
-from gonio.files import atomic_path
 from gonio.materials import get, names
 from gonio.models import get as get_model
 from gonio.session import read_truth
@@ -98,11 +97,7 @@ def main() -> int:
             rows += recovered
             worst = max(abs(float(str(r["error_percent"]))) for r in recovered)
             print(f"{material}: worst {worst:.3f} %", file=sys.stderr)
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(arguments.output) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS)
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(arguments.output, FIELDS, rows, ends="\r\n")
     return 0
 
 

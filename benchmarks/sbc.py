@@ -28,7 +28,7 @@ from scipy import stats
 
 import gonio
 from benchmarks.sbc_sets import CASES, Lie, drawn
-from gonio.files import atomic_path
+from benchmarks.tables import write_rows
 from gonio.fitting.result import FitResult
 from gonio.geometry import FloatArray
 
@@ -199,11 +199,7 @@ def write_summary(path: Path, lines: list[dict[str, Any]]) -> None:
         with path.open(newline="", encoding="utf-8") as file:
             old = list(csv.DictReader(file))
         lines = [r for r in old if (r["case"], r["lie"], r["parameter"]) not in keys] + lines
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, SUMMARY)
-        writer.writeheader()
-        writer.writerows(lines)
+    write_rows(path, SUMMARY, lines, ends="\r\n")
 
 
 def main() -> int:

@@ -14,7 +14,6 @@ the data cannot tell, whatever a program says.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,8 +26,8 @@ import numpy as np
 from scipy import stats
 
 import gonio
+from benchmarks.tables import write_rows
 from gonio import models
-from gonio.files import atomic_path
 from gonio.geometry import Directions, FloatArray
 from gonio.samples import BRDFSamples
 
@@ -140,10 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for row in {"level": levels, "nearest": nearest}[options.campaign](options.sets, pool):
             print(*row.values(), sep="  ", file=sys.stderr)
             rows.append(row)
-    with atomic_path(options.output) as path, path.open("w", newline="") as file:
-        table = csv.DictWriter(file, rows[0])
-        table.writeheader()
-        table.writerows(rows)
+    write_rows(options.output, tuple(rows[0]), rows)
     return 0
 
 

@@ -11,7 +11,6 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.diagnostics.parts import with_parts
 from gonio.fitting.diagnostics.support import support_warnings, supports
-from gonio.fitting.in_memory import InMemory
 from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.joint import find_joint_minimum
@@ -20,6 +19,7 @@ from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.posterior import predictive
 from gonio.fitting.posterior.at_minimum import outside_posterior, sampled
 from gonio.fitting.posterior.chain import Chain, Progress
+from gonio.fitting.posterior.in_memory import InMemory
 from gonio.fitting.posterior.priors import Prior, resolve
 from gonio.fitting.problem import losses
 from gonio.fitting.problem.constraints import Constraints

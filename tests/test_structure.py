@@ -254,12 +254,12 @@ FLOORS: dict[str, list[set[str]]] = {
         {"reduction"},
     ],
     "fitting": [
-        {"result", "provenance", "problem"},
+        {"provenance", "problem"},
+        {"result"},
         {"minimum", "part_choice", "screening"},
         {"residual_tests"},
         {"uncertainty"},
         {"posterior", "diagnostics", "comparison", "warnings"},
-        {"in_memory"},
         {"fit", "texels"},
     ],
 }

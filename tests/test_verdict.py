@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,7 @@ from gonio.fitting.problem.noise_law import noise_law
 from gonio.fitting.result import FitResult, Verdict
 from gonio.fitting.result.noncentrality import noncentrality
 from gonio.geometry import Directions
-from gonio.samples import BRDFSamples
+from gonio.samples import BRDFSamples, SharedTerm
 from gonio.samples.stated_errors import with_shared_errors
 
 CASES = Path(__file__).parents[2] / "shared" / "cases"
@@ -366,6 +367,32 @@ def test_chi2_of_a_prediction_counts_the_uncertainty_of_the_fit():
         p.append(found.p)
         kinds.append(found.kind)
     assert stats.kstest(p, "uniform").pvalue > 0.001
+
+
+def test_a_score_counts_the_blur_of_a_stated_source_cone():
+    """Readings through a cone, averaged over drawn directions, are within a cone that is stated."""
+    rng = np.random.default_rng(1)
+    where = grid((15, 30, 45, 60), 40, (0, 60, 120, 180))
+    surface = {"rho_d": 0.2, "rho_s": 0.1, "alpha": 0.12}
+    model = models.get("ward_isotropic")
+
+    def read(f):
+        return BRDFSamples(where, f * (1 + 0.01 * rng.standard_normal(len(f))), 0.01 * f)
+
+    result = fit(read(model(where, **surface)), "ward_isotropic")
+    w_i, w_r = (
+        np.ascontiguousarray(np.broadcast_to(w, (len(where.theta_r), 3))) for w in where.vectors()
+    )
+    blurred = np.zeros(len(w_r))
+    for _ in range(400):
+        step = rng.normal(0, 0.04, w_r.shape)
+        end = w_r + step - np.sum(step * w_r, axis=1, keepdims=True) * w_r
+        end /= np.linalg.norm(end, axis=1, keepdims=True)
+        blurred += model.evaluate(w_i, end, model.vector(surface)) / 400
+    other = read(blurred)
+    assert result.score(other).kind == "does_not_fit"
+    cone = SharedTerm("source cone", 0.0, blur=0.04)
+    assert result.score(replace(other, shared=(cone,))).kind == "fits_within_shared"
 
 
 def test_samples_without_noise_are_scored_by_the_residuals_of_the_fit():

@@ -19,9 +19,9 @@ from gonio.fitting.residual_tests.model_errors import error_columns
 from gonio.fitting.residual_tests.quadratic_forms import combined
 from gonio.fitting.residual_tests.standardised import Noise, standardise
 from gonio.fitting.residual_tests.whitened import Base
+from gonio.fitting.result.verdict import ALARM
 
 MOST = 5_000  # samples that are examined: an error of the model of a tenth of the noise is seen
-ALARM = 0.01  # share of true models in which structure is reported
 
 
 @dataclass(frozen=True)

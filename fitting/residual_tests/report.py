@@ -29,7 +29,7 @@ from gonio.fitting.residual_tests.group_residuals import (
     largest_groups,
 )
 from gonio.fitting.residual_tests.groups import MAPPED, groupings_of
-from gonio.fitting.residual_tests.misfit import ALARM, misfit_test_of
+from gonio.fitting.residual_tests.misfit import misfit_test_of
 from gonio.fitting.residual_tests.structure import (
     NEIGHBOURING,
     Test,
@@ -41,6 +41,7 @@ from gonio.fitting.residual_tests.whitened import (
     Whitened,
 )
 from gonio.fitting.result import plain
+from gonio.fitting.result.verdict import ALARM
 from gonio.geometry import FloatArray
 from gonio.wording import counted
 

@@ -14,17 +14,15 @@ import numpy as np
 
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.residual_tests.excess import Excess, excess_of
-from gonio.fitting.residual_tests.misfit import ALARM, MisfitTest, misfit_test_of
+from gonio.fitting.residual_tests.misfit import MisfitTest, misfit_test_of
 from gonio.fitting.residual_tests.quadratic_forms import combined
 from gonio.fitting.residual_tests.report import ResidualReport, examine_parts
 from gonio.fitting.residual_tests.standardised import LEAST, standardise
 from gonio.fitting.residual_tests.usefulness import explained_share, worse_than_constant
 from gonio.fitting.residual_tests.whitened import Base
-from gonio.fitting.result.verdict import Class, Verdict, of_f, per_cent
+from gonio.fitting.result.verdict import ALARM, HIDDEN, TOLERANCE, Class, Verdict, of_f, per_cent
 from gonio.wording import counted
 
-TOLERANCE = 0.01  # of f: error of the model up to which it fits where nothing is stated
-HIDDEN = 0.2  # of f: an error as large that the noise may hide leaves all undecided
 UNDERSTATED = 3.0  # factor by which noise may be stated too small before the model is blamed
 BLACK = "the fitted f is 0 at every sample, so that no error has a size in per cent of f"
 STANDS_OUT = 4.0  # standard deviations by which a group does that the verdict names

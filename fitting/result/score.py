@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigurationError
+from gonio.fitting.problem.shared_columns import shared_columns
+from gonio.fitting.problem.single import SingleProblem
 from gonio.fitting.result.noncentrality import noncentrality
 from gonio.fitting.result.prediction import predict
 from gonio.fitting.result.record import FitRecord
-from gonio.fitting.result.verdict import WORDS, Class, of_f
-from gonio.geometry import FloatArray, rotated
+from gonio.fitting.result.verdict import ALARM, HIDDEN, TOLERANCE, WORDS, Class, of_f
+from gonio.geometry import FloatArray
 from gonio.models import Model
-from gonio.samples import BRDFSamples, SharedTerm
+from gonio.samples import BRDFSamples
 
-TOLERANCE = 0.01  # of f: error up to which a prediction holds
-ALARM = 0.01  # chance below which an error is seen
-HIDDEN = 0.2  # of f: an error that the noise may hide and that leaves all undecided
 WORSE = 2.0  # times that a fit may err more than on its own samples where no noise is stated
 FEW = 8  # samples that decide nothing
 
@@ -110,9 +109,9 @@ def score(record: FitRecord, model: Model, samples: BRDFSamples) -> Score:
     alone = _against_noise(f, residual, u, by_fit, bias)
     if alone.kind == "fits" or not samples.shared:
         return alone
-    p = model.vector(record.values())
-    shared = [t.columns(_change(t, model, samples, p, f)).toarray() for t in samples.shared]
-    within = _against_noise(f, residual, u, np.column_stack([by_fit, *shared]), bias)
+    problem = SingleProblem.from_samples(samples, model, n_unknowns=0)
+    shared = shared_columns(problem, model.vector(record.values()), f).toarray()
+    within = _against_noise(f, residual, u, np.column_stack([by_fit, shared]), bias)
     if within.kind != "fits":
         return within
     return Score(**{**within.__dict__, "kind": "fits_within_shared"})
@@ -178,26 +177,3 @@ def _prediction_columns(record: FitRecord, model: Model, samples: BRDFSamples) -
     jacobian = np.broadcast_to(jacobian, (len(samples), jacobian.shape[-1]))
     values, vectors = np.linalg.eigh(np.asarray(record.covariance))
     return np.asarray(jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0))))
-
-
-def _change(
-    term: SharedTerm, model: Model, samples: BRDFSamples, p: FloatArray, f: FloatArray
-) -> FloatArray:
-    """Change of the predictions by one standard deviation of a shared error."""
-    n = len(samples)
-    w_i, w_r = (np.broadcast_to(w, (n, 3)) for w in samples.directions.vectors())
-    if term.shift is not None:
-        ends = [_unit(w_r + side * term.shift) for side in (1, -1)]
-        there = [model.evaluate(np.ascontiguousarray(w_i), end, p) for end in ends]
-    elif term.turn:
-        turned = [[np.ascontiguousarray(rotated(w, -side * term.turn)) for w in (w_i, w_r)]
-                  for side in (1, -1)]  # fmt: skip
-        there = [model.evaluate(a, b, p) for a, b in turned]
-    else:
-        return term.change(f)
-    change = (there[0] - there[1]) / 2
-    return np.asarray(change if term.profile is None else change * term.profile)
-
-
-def _unit(w: FloatArray) -> FloatArray:
-    return np.ascontiguousarray(w / np.linalg.norm(w, axis=1, keepdims=True))

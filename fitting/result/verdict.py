@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+ALARM = 0.01  # chance below which an error is seen: that many true models raise an alarm
+TOLERANCE = 0.01  # of f: error up to which a model fits where nothing is stated
+HIDDEN = 0.2  # of f: an error as large that the noise may hide leaves all undecided
 Class = Literal["fits", "fits_within_shared", "does_not_fit", "undecided"]
 WORDS = {
     "fits": "fits",

@@ -17,6 +17,7 @@ from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.misfit import MisfitTest
 from gonio.fitting.residual_tests.unequal_noise import unequal_noise
+from gonio.fitting.result.verdict import ALARM
 from gonio.fitting.uncertainty.allowance import Allowance
 from gonio.fitting.uncertainty.clustered import by_groups
 from gonio.fitting.uncertainty.covariance import Uncertainty
@@ -28,8 +29,8 @@ from gonio.fitting.uncertainty.loss_sandwich import informed_by_loss
 from gonio.fitting.uncertainty.sample_jackknife import by_samples
 from gonio.fitting.uncertainty.second_derivatives import SecondDerivatives
 
-ALARM = 0.01  # chance of structure in the residuals below which the model does not hold
-ALARM_OF_FEW = 0.001  # the same with at most three incidences: a false alarm widens by 3 to 5 there
+# In place of `ALARM` with at most three incidences: a false alarm widens by 3 to 5 there.
+ALARM_OF_FEW = 0.001
 UNEQUAL = 0.01  # chance of squared residuals that follow f below which noise does
 LONE = 0.5  # share of a parameter's information from one incidence alone that is reported
 

@@ -44,8 +44,6 @@ class Screening:
 def screened(samples: Any) -> Screening:
     """Ask every question of the samples of a fit.
 
-    Samples that gonio reduced from images are not asked: their directions and unit are its own.
-
     Parameters
     ----------
     samples : BRDFSamples, sequence or mapping of them
@@ -77,7 +75,7 @@ def screened(samples: Any) -> Screening:
 
 
 def _asked(samples: Any, name: str) -> Plausibility:
-    if not isinstance(samples, BRDFSamples) or samples.image is not None:
+    if not isinstance(samples, BRDFSamples):
         return Plausibility(samples, ())
     path = samples.metadata.get("path")
     return plausible(samples).require(str(path) if path else name)

@@ -335,6 +335,19 @@ def test_a_code_for_a_missing_reading_is_left_out(code, put):
     assert codes(loaded) == ["missing_code"]
 
 
+@pytest.mark.parametrize("given", [False, True])
+def test_a_picture_is_drawn_of_the_samples_that_the_fit_kept(gonio, put, tmp_path, given):
+    """Codes that a fit left out do not make its file another one, named or found."""
+    right = glossy(stated=True)
+    value = right.value.copy()
+    value[[3, 20]] = -9999.0
+    path, fit = put(replace(right, value=value)), tmp_path / "fit.json"
+    assert gonio("fit", path, "--model", "lambert", "-o", fit)[0] in (0, 1)
+    samples = ("--samples", path) if given else ()
+    drawn = gonio("plot", fit, "--kind", "slices", *samples, "-o", tmp_path / "a.png")
+    assert (drawn[0], (tmp_path / "a.png").is_file()) == (0, True)
+
+
 def test_codes_in_most_lines_refuse_the_file(gonio, put):
     right = glossy()
     path = put(replace(right, value=np.where(np.arange(len(right)) % 3, -9999.0, right.value)))

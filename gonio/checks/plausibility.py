@@ -59,8 +59,6 @@ def measurements(samples: BRDFSamples) -> Plausibility:
 
     The metadata of the samples keep what was left out, under ``reading``.
     """
-    if samples.image is not None:  # reduced by gonio: noise about 0 is noise
-        return Plausibility(samples, ())
     findings, bad = _asked(samples, of_values=True)
     if not bad:
         return Plausibility(samples, findings)
@@ -80,7 +78,7 @@ def plausible(samples: BRDFSamples) -> Plausibility:
     Parameters
     ----------
     samples : BRDFSamples
-        Several wavelengths and channels are asked one by one.
+        Several wavelengths and channels are asked one by one; samples of images are not asked.
 
     Returns
     -------
@@ -96,16 +94,9 @@ def plausible(samples: BRDFSamples) -> Plausibility:
     >>> len(found.samples), [finding.code for finding in found.findings]
     (11, ['missing_code'])
     """
-    if samples.image is not None:
-        return Plausibility(samples, ())
     screened = measurements(samples)
-    before = [
-        Finding(**{**record, "samples": tuple(record["samples"]), "lines": tuple(record["lines"])})
-        for record in (
-            {k: v for k, v in each.items() if k != "n_samples"}
-            for each in screened.samples.metadata.get("reading", {}).get("no_measurements", ())
-        )
-    ]
+    recorded = screened.samples.metadata.get("reading", {}).get("no_measurements", ())
+    before = [Finding.described(record) for record in recorded]
     findings, _ = _asked(screened.samples, of_values=False)
     every = [*before, *screened.findings, *findings]
     return Plausibility(screened.samples, tuple(sorted(every, key=lambda f: LEVELS.index(f.level))))
@@ -113,7 +104,8 @@ def plausible(samples: BRDFSamples) -> Plausibility:
 
 def _asked(samples: BRDFSamples, *, of_values: bool) -> tuple[tuple[Finding, ...], set[int]]:
     """Findings of the questions of a kind, and the samples that are no measurements."""
-    if not len(samples):
+    # Images that gonio reduced have directions and a unit of its own, and noise about 0 is noise.
+    if not len(samples) or samples.image is not None:
         return (), set()
     whole = Evidence(samples)
     parts = _parts(samples)

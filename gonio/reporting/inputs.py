@@ -115,7 +115,7 @@ def _samples(source: Path, fit: FitResult, reducer: Reducer) -> BRDFSamples:
     path = _find(str(name), source)
     if path.is_file():
         _require_unchanged(path, fit)
-    samples = _as_fitted(measurements(_read(path, reducer)).samples, fit)
+    samples = _as_fitted(_read(path, reducer), fit)
     if len(samples) != fit.n_samples:
         raise DataError(
             f"{name} holds {counted(len(samples), 'sample')} and the fit was made to "
@@ -152,7 +152,7 @@ def _read(path: Path, reducer: Reducer) -> BRDFSamples:
 def _as_fitted(samples: BRDFSamples, fit: FitResult) -> BRDFSamples:
     """The samples that a fit takes of these, by its selection and limits."""
     select: Mapping[str, str] = fit.cuts.get("select") or {}
-    samples = formats.choose(samples, select)
+    samples = measurements(formats.choose(samples, select)).samples
     limits = [fit.cuts.get(f"max_{angle}_deg") for angle in ("theta_i", "theta_r")]
     theta_i, theta_r = (None if limit is None else radians(float(limit)) for limit in limits)
     return usable(samples.limited(max_theta_i=theta_i, max_theta_r=theta_r))

@@ -6,9 +6,12 @@ A file of this folder that defines `QUESTION = Question(...)` is a question. `ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gonio.checks.questions.evidence import Evidence
 
@@ -52,6 +55,40 @@ class Finding:
         for name in ("samples", "lines"):
             record[name] = list(record[name][:LISTED])
         return record
+
+    @classmethod
+    def described(cls, record: Mapping[str, Any]) -> Finding:
+        """The finding that `describe` wrote."""
+        fields = {name: value for name, value in record.items() if name != "n_samples"}
+        return cls(**{**fields, **{name: tuple(record[name]) for name in ("samples", "lines")}})
+
+    @classmethod
+    def without_reading(
+        cls, code: str, evidence: Evidence, index: NDArray[np.int64], values: str, why: str
+    ) -> Finding:
+        """Samples that hold no reading: left out, or refused where they are most of them.
+
+        Parameters
+        ----------
+        code : str
+        evidence : Evidence
+        index : ndarray of int64
+            The samples.
+        values : str
+            What their values are, as in "-9999, which stands for a missing reading".
+        why : str
+            What is said behind that where they are left out.
+        """
+        many = 2 * len(index) >= evidence.n
+        ending = ": too few measurements are left. Remove these lines." if many else why
+        return cls(
+            code,
+            "refuse" if many else "warning",
+            f"{len(index)} of {evidence.n} values are {values} ({evidence.where(index)}){ending}",
+            tuple(index.tolist()),
+            evidence.lines(index),
+            left_out=not many,
+        )
 
 
 @dataclass(frozen=True)

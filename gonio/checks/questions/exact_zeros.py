@@ -72,20 +72,12 @@ def _missing(evidence: Evidence, missing: NDArray[np.int64]) -> Finding:
     near = evidence.neighbours[missing]
     beside = evidence.value[near]
     typical = float(np.median(beside[beside > 0])) if np.any(beside > 0) else 0.0
-    many = 2 * len(missing) >= evidence.n
-    text = (
-        f"{len(missing)} of {evidence.n} values are exactly 0 among values about {typical:.2g} "
-        f"({evidence.where(missing)})"
-    )
-    return Finding(
+    return Finding.without_reading(
         "zero_is_missing",
-        "refuse" if many else "warning",
-        f"{text}: too few measurements are left. Remove these lines."
-        if many
-        else f"{text}: they mark missing readings and were left out. Remove these lines.",
-        tuple(missing.tolist()),
-        evidence.lines(missing),
-        left_out=not many,
+        evidence,
+        missing,
+        f"exactly 0 among values about {typical:.2g}",
+        ": they mark missing readings and were left out. Remove these lines.",
     )
 
 

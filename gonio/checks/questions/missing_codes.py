@@ -28,20 +28,12 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         return
     index = np.flatnonzero(np.isin(value, codes))
     named = ", ".join(f"{code:g}" for code in codes[:4])
-    many = 2 * len(index) >= len(value)
-    text = (
-        f"{len(index)} of {len(value)} values are {named}, which stands for a missing or overflown "
-        f"reading ({evidence.where(index)})"
-    )
-    yield Finding(
+    yield Finding.without_reading(
         "missing_code",
-        "refuse" if many else "warning",
-        f"{text}: too few measurements are left. Remove these lines."
-        if many
-        else f"{text}; they were left out. Remove these lines to silence this.",
-        tuple(index.tolist()),
-        evidence.lines(index),
-        left_out=not many,
+        evidence,
+        index,
+        f"{named}, which stands for a missing or overflown reading",
+        "; they were left out. Remove these lines to silence this.",
     )
 
 

@@ -13,7 +13,7 @@ from gonio.fitting.problem.noise_law import NoiseLaw
 from gonio.fitting.problem.unknowns import KernelParameters, Reported
 from gonio.geometry import Directions, FloatArray
 from gonio.models import Model, Parameter
-from gonio.samples import BRDFSamples, Cells, SharedTerm
+from gonio.samples import BRDFSamples, Cells
 
 Weights = Literal["none", "cos", "coscos", "relative", "sd"]
 ProfiledDraw = tuple[str, int | None, float, float]  # see `Problem.profiled_draws`
@@ -238,8 +238,3 @@ class Problem(Protocol):
 
     def subset(self, n: int) -> Problem:
         """At most n samples, taken at their centroids, for starting values."""
-
-
-def shared_of(problem: Problem) -> tuple[SharedTerm, ...]:
-    """Shared errors of a problem's samples that its likelihood does not hold."""
-    return tuple(t for t in problem.samples.shared if t.name not in problem.profiled)

@@ -285,10 +285,6 @@ def _true_columns(estimate: Estimate, true: float | None) -> list[str]:
     return [text, "0.0" if ratio == "+0.0" else ratio.replace("-", "−")]
 
 
-def _three_digits(number: float) -> str:
-    return f"{number:#.3g}".removesuffix(".")
-
-
 def _grouped(number: float) -> str:
     """A whole number with thin spaces between thousands."""
     return f"{number:,.0f}".replace(",", "\u2009")

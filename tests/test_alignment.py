@@ -441,17 +441,18 @@ class TestFrames:
         session = gonio.simulate(
             model="ward", parameters=true, output=tmp_path / "s", instrument=instrument, plan=plan
         )
-        z, stderr = {}, {}
+        error, stderr = {}, {}
         for how, path in (("as stated", None), ("aligned", target)):
             samples = gonio.reduce(session, mapping="exact", geometry=path)
             result = gonio.fit(samples, model="ward").parameters
             stderr[how] = {n: result[n].stderr / true[n] for n in true}
-            z[how] = {n: abs(result[n].value / true[n] - 1) / stderr[how][n] for n in true}
-        # A degree of misalignment spoils the fit, although its uncertainties allow for misfit;
-        # aligned, it is within them.
-        assert max(z["as stated"].values()) > 3
+            error[how] = {n: abs(result[n].value / true[n] - 1) for n in true}
+        # A degree of misalignment spoils the fit: it is off by what a rig that is aligned would
+        # not be. Aligned, it is within its uncertainty. (That of the fit as stated allows for the
+        # misfit and is larger.)
+        assert max(error["as stated"][n] / stderr["aligned"][n] for n in true) > 5
+        assert max(error["aligned"][n] / stderr["aligned"][n] for n in true) < 4
         assert max(stderr["as stated"].values()) > 2 * max(stderr["aligned"].values())
-        assert max(z["aligned"].values()) < 4
         assert max(stderr["aligned"].values()) < 0.01
         modes = [t.name for t in samples.shared if t.name.startswith("geometry, mode")]
         assert 3 <= len(modes) <= 8

@@ -17,7 +17,7 @@ import gonio
 from gonio import cli, models, plotting
 from gonio.calibration.reflector import reflected_angles
 from gonio.errors import ConfigurationError, DataError
-from gonio.fitting.result import Estimate, FitResult, PosteriorSummary
+from gonio.fitting.result import Estimate, FitResult, PosteriorSummary, Verdict
 from gonio.geometry import Directions
 from gonio.instrument import Instrument, preset
 from gonio.metadata import Plan
@@ -265,10 +265,13 @@ def texts(figure: Figure) -> str:
 
 
 def test_summary_tells_what_was_measured(fit, samples, session, draws_file):
-    figure = plotting.summary(fit, samples, session, draws_file, truth=SHINY)
+    verdict = Verdict("fits", 0.4, 0.0, (0.0, 0.004), 0.01, "no error of the model is seen")
+    judged = replace(fit, verdict=verdict)
+    figure = plotting.summary(judged, samples, session, draws_file, truth=SHINY)
     shown = texts(figure)
     assert "shiny thing on small12: Ward, elliptical Gaussian, exact" in shown
     assert "0.2000 ± 0.0020" in shown
+    assert "verdict: fits" in shown
     assert "seed 1" in shown
     assert "difference / u" in shown
     assert "has not converged" not in shown

@@ -12,6 +12,7 @@ from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray, unit_vectors
 
 LEAST = 8  # samples in a group
+NORMAL_DEG = 0.5  # theta_i below which phi_i means nothing
 MOST_INCIDENCES = 12
 RINGS_DEG = (1, 2, 3, 4.5, 6, 8, 11, 15, 20, 30, 45, 60, 90)  # edges about the mirror direction
 CELLS = ((0.0, 1), (25.0, 6), (50.0, 10))  # lower theta_r (deg) and sectors of every ring of cells
@@ -71,6 +72,14 @@ def groupings_of(problem: Problem) -> dict[str, Grouping]:
             near * 8 + sector, sector_words, [None] * len(sector_words)
         ),
     }
+
+
+def incidence_directions(problem: Problem) -> NDArray[np.int64]:
+    """Number of the direction of incidence of each sample to 1 degree, (N,), from 0 on."""
+    d, n = problem.samples.directions, problem.n
+    theta, phi = (np.degrees(np.broadcast_to(a, (n,))) for a in (d.theta_i, d.phi_i))
+    phi = np.where(theta < NORMAL_DEG, 0.0, np.round(phi) % 360)
+    return np.unique(360 * np.round(theta) + phi, return_inverse=True)[1].astype(np.int64)
 
 
 def classes(values: FloatArray, most: int) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.problem.protocol import Problem
-from gonio.fitting.residual_tests.groups import classes
+from gonio.fitting.residual_tests.groups import classes, incidence_directions
 from gonio.fitting.residual_tests.smooth_basis import Columns, FullColumns, SineProducts
 from gonio.geometry import FloatArray, unit_vectors
 
@@ -84,10 +84,8 @@ def incidence_of(problem: Problem) -> NDArray[np.int64]:
     Directions of incidence to 1 degree; equally filled classes of theta_i where they are many or
     have few samples each.
     """
-    theta_i, phi_i, _, _ = _angles(problem)
-    phi = np.where(np.degrees(theta_i) < 0.5, 0.0, np.round(np.degrees(phi_i)) % 360)
-    key = np.column_stack([np.round(np.degrees(theta_i)), phi])
-    number = np.unique(key, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+    theta_i, _, _, _ = _angles(problem)
+    number = incidence_directions(problem)
     count = int(number.max()) + 1
     if count <= min(MOST_FACTORS, max(1, problem.n // SAMPLES_EACH)):
         return number

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.problem.protocol import Problem
-from gonio.fitting.residual_tests.groups import classes
+from gonio.fitting.residual_tests.groups import classes, incidence_directions
 
 MOST = 12  # groups: more and smaller ones would part what belongs together
 FEWEST = 3  # groups that say how they scatter
-NORMAL_DEG = 0.5  # theta_i below which phi_i means nothing
 
 
 def incidence_groups(problem: Problem) -> NDArray[np.int64]:
@@ -20,11 +19,9 @@ def incidence_groups(problem: Problem) -> NDArray[np.int64]:
     where these are few. Equally filled groups where incidences are many. Parts of a joint fit that
     were measured at one incidence are in one group: they err alike.
     """
-    d, n = problem.samples.directions, problem.n
-    theta, phi = (np.degrees(np.broadcast_to(a, (n,))) for a in (d.theta_i, d.phi_i))
-    phi = np.where(theta < NORMAL_DEG, 0.0, np.round(phi) % 360)
-    pairs = np.unique(360 * np.round(theta) + phi, return_inverse=True)[1].astype(np.int64)
-    by_theta = classes(theta, MOST)
+    pairs = incidence_directions(problem)
+    theta = np.broadcast_to(problem.samples.directions.theta_i, (problem.n,))
+    by_theta = classes(np.degrees(theta), MOST)
     few = int(pairs.max()) < MOST
     if few and (not problem.model.claims.isotropic or int(by_theta.max()) + 1 < FEWEST):
         return pairs

@@ -119,7 +119,7 @@ def _at_bound(fit: FitResult, name: str) -> bool:
 
 
 def _ratio(a: Estimate, b: Estimate) -> float | None:
-    if a.stderr is None or b.stderr is None or not (a.established and b.established):
+    if a.stderr is None or b.stderr is None or False in (a.established, b.established):
         return None
     u2 = a.stderr**2 + b.stderr**2
     part = sum(e.stderr**4 / max(e.dof, 1.0) for e in (a, b) if e.dof is not None and e.stderr)

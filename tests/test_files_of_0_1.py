@@ -18,10 +18,18 @@ FILES = Path(__file__).parent / "data_0_1"
 
 
 def with_keys_of_today(written):
-    """The document as 0.2 writes it: one key has another name, one is new."""
+    """The document as 0.2 writes it: one key has another name; what is new says unknown."""
     identifiability = written["diagnostics"]["identifiability"]
     identifiability["suggested_measurement"] = identifiability.pop("mending")
-    return written | {"model_source": None}
+    for entry in written["parameters"].values():
+        entry |= {"dof": None, "established": None}
+    if written["posterior"] is not None:
+        written["posterior"]["allowance"] = ""
+    return written | {"model_source": None, "polish": "gauss_newton", "verdict": None}
+
+
+def u_of(result, name):
+    return result.parameters[name].stderr
 
 
 def test_a_fit_of_0_1_comes_back_in_radians():
@@ -52,7 +60,8 @@ def test_samples_of_0_1_are_fitted_to_what_0_1_found():
     assert [term.name for term in samples.shared] == ["standard"]
     again = gonio.fit(samples, model="oren_nayar")
     result = FitResult.load(FILES / "fit.json")
-    assert again.values() == pytest.approx(result.values(), rel=1e-9)
+    for name, value in again.values().items():  # to where chi2 was flat by its tolerance
+        assert value == pytest.approx(result.values()[name], abs=1e-5 * u_of(result, name))
     f = models.get("oren_nayar")(samples.directions, **result.values())
     assert np.std((samples.value - f) / samples.u_independent) == pytest.approx(1, abs=0.25)
 

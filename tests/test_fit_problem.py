@@ -166,16 +166,21 @@ def test_weights_from_the_model_do_not_pull_the_fit_down():
     where = directions(n)
     true = rho / np.pi
     per = electrons / true  # electrons per sr^-1
-    plain, reweighted = [], []
+    harmonic: list[float] = []
+    plain: list[float] = []
+    reweighted: list[float] = []
     for _ in range(repeats):
         counts = rng.poisson(electrons, n)
         value = counts / per
         u = np.sqrt(counts) / per
         slope = np.full(n, 1 / per)
+        harmonic.append(np.pi * np.average(value, weights=1 / u**2))
         for found, extra in ((plain, {}), (reweighted, {"noise_slope": slope})):
             samples = BRDFSamples(where, value, u_independent=u, **extra)
             found.append(gonio.fit(samples, model="lambert").values()["rho"])
     error = rho / np.sqrt(electrons * n * repeats)
     # Weights 1/count make the mean the harmonic one: low by 1/electrons = 0.2 %.
-    assert np.mean(plain) / rho - 1 == pytest.approx(-1 / electrons, abs=4 * error / rho)
+    assert np.mean(harmonic) / rho - 1 == pytest.approx(-1 / electrons, abs=4 * error / rho)
     assert abs(np.mean(reweighted) - rho) < 3 * error
+    # A stated u that follows the readings is recognised where no slope is stated.
+    assert abs(np.mean(plain) - rho) < 3 * error

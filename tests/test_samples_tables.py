@@ -68,7 +68,9 @@ def test_lists_are_arrays():
     assert one.value.dtype == float
     assert (one.flags.dtype, one.image.dtype) == (np.uint8, np.int64)
     assert one.channel.dtype.kind == "U"
-    with pytest.raises(DataError, match=r"^u_independent has shape \(2,\), not \(4,\)\.$"):
+    with pytest.raises(
+        DataError, match=r"^the uncertainty \(u_independent\) has shape \(2,\), not \(4,\)\.$"
+    ):
         BRDFSamples(Directions(0.5, 0.0, THETA_R, 3.0), [0.1] * 4, [0.1, 0.1])
 
 

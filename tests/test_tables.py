@@ -130,7 +130,7 @@ def test_the_comparison_as_csv_and_latex(run, folder):
     assert float(rows[0]["loo_difference"]) == 0
     assert float(rows[1]["loo_difference"]) < 0
     code, out, _ = run(*words, "--latex")
-    assert "oren\\_nayar & 2 & " in out
+    assert "oren\\_nayar & fits & 2 & " in out
     assert out.endswith("\\end{tabular}\n")
 
 

@@ -19,6 +19,7 @@ MAX_R_HAT = 1.01
 MIN_ESS = 400.0  # bulk and tail
 CHAIN_LENGTHS = 50  # autocorrelation times that all chains together must be long, each a few
 TAILS = (0.05, 0.95)
+LEAST_EXCESS = 1e-100  # of an importance weight over the largest: its inverse still has a square
 WINDOW = 5.0  # of the autocorrelation, in autocorrelation times (Sokal)
 
 
@@ -119,8 +120,8 @@ def k_hat(log_weights: FloatArray) -> float:
     excess = np.exp(ordered[-n_tail:] - top) - np.exp(ordered[-n_tail - 1] - top)
     if excess[-1] <= 0:
         return -np.inf  # all weights are the same
-    if excess[max(0, round(n_tail / 4) - 1)] <= 0:
-        excess = excess + np.finfo(float).tiny
+    if excess[max(0, round(n_tail / 4) - 1)] < LEAST_EXCESS:
+        excess = excess + LEAST_EXCESS
     return _pareto_shape(excess)
 
 

@@ -36,10 +36,11 @@ class Estimate:
         Degrees of freedom of the standard uncertainty: the intervals take Student's t with them.
         None where the noise is stated, so that they take the normal distribution, and without a
         standard uncertainty.
-    established : bool
-        False where a few samples carry the parameter, or where errors of the angles that nobody
-        stated would move it by more than its standard uncertainty: the interval then says less
-        than it seems to.
+    established : bool or None
+        None where nobody asked: without a standard uncertainty, or in a file of 0.1. False where
+        a few samples carry the parameter, or where errors of the angles that nobody stated would
+        move it by more than its standard uncertainty: the interval then says less than it seems
+        to.
     """
 
     value: float
@@ -52,7 +53,7 @@ class Estimate:
     fixed: bool = False
     tied_to: str | None = None
     dof: float | None = None
-    established: bool = True
+    established: bool | None = None
 
     @property
     def unknown(self) -> bool:

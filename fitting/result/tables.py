@@ -53,7 +53,8 @@ def parameter_row(name: str, estimate: Estimate, true: float | None) -> list[str
         interval = f"{low:.{digits}f} .. {high:.{digits}f}"
     stderr = "at bound" if estimate.at_bound else "fixed" if estimate.fixed else "none"
     if estimate.stderr is not None:
-        stderr = f"{estimate.stderr:.{digits}f}" if estimate.established else "not established"
+        weak = estimate.established is False
+        stderr = "not established" if weak else f"{estimate.stderr:.{digits}f}"
     name += f" = {estimate.tied_to}" if estimate.tied_to else ""
     row = [name + (f" [{estimate.unit}]" if unit else ""), f"{estimate.value:.{digits}f}", stderr,
            interval]  # fmt: skip

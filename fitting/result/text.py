@@ -111,5 +111,5 @@ def _value(estimate: Estimate) -> str:
         return f"{estimate.value:.4g}{unit} at its {estimate.at_bound} bound"
     if estimate.stderr is None:
         return f"{estimate.value:.4g}{unit} (not determined)"
-    weak = "" if estimate.established else " (not established)"
+    weak = " (not established)" if estimate.established is False else ""
     return f"{estimate.value:.4g} ± {estimate.stderr:.2g}{unit}{weak}"

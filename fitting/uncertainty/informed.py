@@ -26,7 +26,7 @@ class Informed:
     determined : ndarray of bool, shape (P,)
         Parameters that the data determine.
     z : ndarray, shape (N,)
-        W^1/2 (y - f).
+        W^1/2 (y - f), with f at the end of a step that the directions of `q` allow.
     q : ndarray, shape (N, R)
         Rows of what is profiled beside the parameters have a share in q^T q = 1 as well.
     whole : ndarray, shape (P, R)
@@ -62,8 +62,11 @@ class Informed:
             h, among = optimum.curvature, optimum.free
         determined, back = marginal_root(h, among, optimum.limited)
         determined[list(optimum.limited)] = False
-        residual = problem.samples.value - f
-        return cls(determined[:n_p], root * residual, columns @ back, back[:n_p])
+        z, q = root * (problem.samples.value - f), columns @ back
+        if not problem.profiled:
+            # Nothing at a minimum. About a value that is held, it is what would move it.
+            z -= q @ (q.T @ z)
+        return cls(determined[:n_p], z, q, back[:n_p])
 
     @property
     def back(self) -> FloatArray:

@@ -114,14 +114,17 @@ def _newton(informed: Informed, second: Iterable[Block], where: NDArray[np.bool_
         q, z = informed.q[some] @ rows.T, informed.z[some]
         bent = np.einsum("pr,npq,qs->nrs", turned, own_second, turned, optimize=True)
         rest = stiff - q[:, :, None] * q[:, None, :] + z[:, None, None] * bent
-        steps = _solved(rest, q * z[:, None])
+        steps = newton_steps(rest, q * z[:, None])
         changes = steps @ (stiff @ rows @ inverse @ informed.back.T)
         total += changes.T @ changes
     return total
 
 
-def _solved(curvature: FloatArray, score: FloatArray) -> FloatArray:
-    """Newton steps (n, S) with the eigenvalues of each curvature (n, S, S) at least the floor."""
+def newton_steps(curvature: FloatArray, score: FloatArray) -> FloatArray:
+    """Newton steps (n, S) with the eigenvalues of each curvature (n, S, S) at least the floor.
+
+    The score is (n, S): the steps are those of a fit from which something was left out.
+    """
     values, vectors = np.linalg.eigh(curvature)
     turned = np.einsum("nji,nj->ni", vectors, score) / np.maximum(values, FLOOR)
     return np.asarray(np.einsum("nij,nj->ni", vectors, turned))

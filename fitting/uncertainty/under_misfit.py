@@ -20,8 +20,10 @@ from gonio.fitting.residual_tests.unequal_noise import unequal_noise
 from gonio.fitting.result.verdict import ALARM
 from gonio.fitting.uncertainty.allowance import Allowance
 from gonio.fitting.uncertainty.clustered import by_groups
+from gonio.fitting.uncertainty.correlated_parts import residual_correlation
 from gonio.fitting.uncertainty.covariance import Uncertainty
 from gonio.fitting.uncertainty.degrees_of_freedom import Spread
+from gonio.fitting.uncertainty.direction_jackknife import by_directions, numbers_of_directions
 from gonio.fitting.uncertainty.incidence_groups import FEWEST, incidence_groups
 from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.larger_of import larger_of
@@ -70,7 +72,8 @@ def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> 
     p = unequal_noise(informed.z, level)
     if p >= UNEQUAL:
         return errors
-    return errors.with_spread(by_samples(informed), Allowance("samples", p, 0, structure=False))
+    spread = _left_out(minimum, informed)
+    return errors.with_spread(spread, Allowance("samples", p, 0, structure=False))
 
 
 def alarm(n_incidences: int) -> float:
@@ -85,7 +88,7 @@ def _of_misfit(
     wrong = _with_structure(problem, test)
     if problem.quadratic:
         informed = Informed.of(minimum)
-        spread = by_samples(informed, SecondDerivatives(minimum), wrong)
+        spread = _left_out(minimum, informed, SecondDerivatives(minimum), wrong)
     else:
         assert errors.dof is not None
         informed, spread = informed_by_loss(minimum), Spread(errors.independent, errors.dof)
@@ -95,9 +98,6 @@ def _of_misfit(
         of_incidences, share = by_groups(informed, group, wrong)
         spread = larger_of(spread, of_incidences)
         lone = tuple(problem.parameters[j].name for j in np.flatnonzero(share > LONE))
-    elif len(problem.pieces()) > 1:
-        # Residuals that parts have in common are no independent evidence.
-        spread = larger_of(spread, Spread.known(errors.independent))
     if not wrong.all():
         spread = spread + Spread.known(informed.of_noise(~wrong) * errors.noise_scale**2)
     if problem.weights == "sd" and problem.quadratic:
@@ -109,6 +109,19 @@ def _of_misfit(
     parts = (n_wrong, len(problem.pieces()))
     allowance = Allowance(basis, test.p, n_groups, lone=lone, parts=parts)
     return errors.with_spread(spread, allowance)
+
+
+def _left_out(
+    minimum: Minimum,
+    informed: Informed,
+    second: SecondDerivatives | None = None,
+    wrong: NDArray[np.bool_] | None = None,
+) -> Spread:
+    """Samples one by one; directions where the residuals of parts are correlated there."""
+    problem = minimum.problem
+    if residual_correlation(problem, minimum.optimum.p) is None:
+        return by_samples(informed, second, wrong)
+    return by_directions(informed, numbers_of_directions(problem), second or (), wrong)
 
 
 def _with_structure(problem: Problem, test: MisfitTest) -> NDArray[np.bool_]:

@@ -261,7 +261,7 @@ def recovered(estimate: Estimate) -> str:
         why = f"at its {estimate.at_bound} bound" if estimate.at_bound else "not determined"
         return f"{estimate.value:.4g}{_unit(estimate)} ({why})"
     digits = _digits(estimate.stderr)
-    weak = "" if estimate.established else " (not established by these data)"
+    weak = " (not established by these data)" if estimate.established is False else ""
     return f"{estimate.value:.{digits}f} ± {estimate.stderr:.{digits}f}{_unit(estimate)}{weak}"
 
 

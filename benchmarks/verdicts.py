@@ -4,17 +4,20 @@ Run from the root of the checkout, in its environment:
 
     python -m benchmarks.verdicts level --sets 1000 -o docs/calibration/verdict-level.csv
     python -m benchmarks.verdicts nearest --sets 50 -o docs/calibration/verdict-nearest.csv
+    python -m benchmarks.verdicts sessions --sets 50 -o docs/calibration/verdict-sessions.csv
 
 `level` draws noise for a true model and counts sets with p below 0.01 and 0.001, with the 99 %
 ranges of their binomial laws. `nearest` fits true and wrong models to files with 1 % noise.
 Wrong models whose power by noncentral chi-squared is not above 0.999 are listed as such: there
-the data cannot tell, whatever a program says.
+the data cannot tell, whatever a program says. `sessions` does the same from raw frames of the
+instrument ideal12 at its full resolution.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -29,8 +32,11 @@ import gonio
 from benchmarks.tables import write_rows
 from gonio import models
 from gonio.geometry import Directions, FloatArray
+from gonio.instrument import preset
+from gonio.metadata import Plan
 from gonio.samples import BRDFSamples
 
+CLASSES = ("fits", "fits_within_shared", "does_not_fit", "undecided")
 NOISE = 0.01  # of f
 POWER = 0.999
 LEVEL = 0.01
@@ -50,6 +56,7 @@ NEAREST: Mapping[str, Sequence[str]] = {
     "ward_duer": ("ward", "ward_gmd"),
     "phong": ("ward_isotropic", "blinn"),
 }
+FROM_FRAMES = ("oren_nayar", "ward", "phong")
 NOISES = ("stated", "unknown, in proportion to f", "unknown, constant")
 
 
@@ -118,25 +125,63 @@ def nearest(n: int, pool: ProcessPoolExecutor) -> Iterator[dict[str, Any]]:
     for true, others in NEAREST.items():
         for fitted in (true, *others):
             counts = Counter(pool.map(partial(kind, true, fitted), range(n), chunksize=5))
-            strong = fitted == true or power(true, fitted) > POWER
-            right = "fits" if fitted == true else "does_not_fit" if strong else "cannot be told"
-            yield {
-                "true": true, "fitted": fitted, "files": n, "right": right,
-                **{name: counts.get(name, 0) for name in ("fits", "does_not_fit", "undecided")},
-            }  # fmt: skip
+            yield _row(true, fitted, "files", counts)
+
+
+def kinds_of_session(true: str, number: int) -> list[str]:
+    """Classes of the verdicts on one simulated session, the true model's first."""
+    instrument = preset("ideal12")
+    rotations = (0,) if models.get(true).claims.isotropic else (0, 60)
+    plan = Plan(
+        theta_i_deg=(10, 35, 60), rotations_deg=rotations,
+        exposures_s=instrument.sensor.exposures_s[::2],
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        session = gonio.simulate(
+            model=true, parameters=TRUTHS[true], output=Path(folder) / "s.gonio",
+            instrument=instrument, plan=plan, seed=number, threads=1, truth_images=False,
+        )  # fmt: skip
+        samples = gonio.reduce(session, threads=1)
+    found = []
+    for fitted in (true, *NEAREST[true]):
+        verdict = gonio.fit(samples, fitted, threads=1).verdict
+        assert verdict is not None
+        found.append(verdict.kind)
+    return found
+
+
+def from_frames(n: int, pool: ProcessPoolExecutor) -> Iterator[dict[str, Any]]:
+    """A row for each true model with itself and with the wrong models, from raw frames."""
+    for true in FROM_FRAMES:
+        found = list(pool.map(partial(kinds_of_session, true), range(n)))
+        for j, fitted in enumerate((true, *NEAREST[true])):
+            yield _row(true, fitted, "sessions", Counter(kinds[j] for kinds in found))
+
+
+def _row(true: str, fitted: str, of_what: str, counts: Counter[str]) -> dict[str, Any]:
+    """Counts of the classes beside the right one, which the power decides."""
+    strong = fitted == true or power(true, fitted) > POWER
+    right = "fits" if fitted == true else "does_not_fit" if strong else "cannot be told"
+    return {
+        "true": true, "fitted": fitted, of_what: counts.total(), "right": right,
+        **{name: counts[name] for name in CLASSES},
+    }  # fmt: skip
+
+
+CAMPAIGNS = {"level": levels, "nearest": nearest, "sessions": from_frames}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and write its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("campaign", choices=("level", "nearest"))
+    parser.add_argument("campaign", choices=CAMPAIGNS)
     parser.add_argument("--sets", type=int, default=1000)
     parser.add_argument("--workers", type=int)
     parser.add_argument("-o", "--output", type=Path, required=True)
     options = parser.parse_args(arguments)
     rows = []
     with ProcessPoolExecutor(options.workers) as pool:
-        for row in {"level": levels, "nearest": nearest}[options.campaign](options.sets, pool):
+        for row in CAMPAIGNS[options.campaign](options.sets, pool):
             print(*row.values(), sep="  ", file=sys.stderr)
             rows.append(row)
     write_rows(options.output, tuple(rows[0]), rows)

@@ -308,3 +308,21 @@ def test_sigma_of_zero_is_held_as_often_as_is_said():
         low, _ = gonio.fit(samples, model="oren_nayar", threads=1).parameters["sigma"].interval_95
         held += low <= 0
     assert held >= 0.95 * repeats - 1
+
+
+@pytest.mark.parametrize("name", ["ashikhmin_shirley", "ward"])
+def test_few_samples_anywhere_make_a_document_without_nan(name):
+    """What the curvature of few samples informs changes with its rounding."""
+    truth = {
+        q.name: 0.3 if q.linear else float(np.mean(q.start)) for q in models.get(name).parameters
+    }
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        n = len(truth) + int(rng.integers(2, 12))
+        theta = np.radians(rng.uniform(0, 80, (2, n)))
+        phi = rng.uniform(0, 2 * np.pi, (2, n))
+        where = Directions(theta[0], phi[0], theta[1], phi[1])
+        f = models.get(name)(where, **truth)
+        u = 0.05 * f + 0.005 * f.mean() + 1e-9
+        result = gonio.fit(BRDFSamples(where, f + u * rng.standard_normal(n)), name)
+        assert json.loads(result.to_json())["parameters"].keys() == truth.keys()

@@ -195,13 +195,13 @@ def _correlation(
     problem: Problem, h: FloatArray, free: NDArray[np.int64], missing: set[int]
 ) -> tuple[list[list[float | None]], tuple[tuple[str, str, float], ...]]:
     index = _determined(free, missing)
-    row_of = {int(k): n for n, k in enumerate(index)}
     r = np.eye(0)
     if len(index):
-        among = np.isin(np.arange(len(h)), free)
-        inverse = curvature.marginal_inverse(h, among)[1][np.ix_(index, index)]
-        sd = np.sqrt(np.diag(inverse))
-        r = np.clip(inverse / np.outer(sd, sd), -1, 1)
+        inverse = curvature.marginal_inverse(h, np.isin(np.arange(len(h)), free))[1]
+        index = index[np.diag(inverse)[index] > 0]
+        sd = np.sqrt(np.diag(inverse)[index])
+        r = np.clip(inverse[np.ix_(index, index)] / np.outer(sd, sd), -1, 1)
+    row_of = {int(k): n for n, k in enumerate(index)}
 
     def of(a: int, b: int) -> float | None:
         if a not in row_of or b not in row_of:

@@ -14,6 +14,7 @@ from gonio.models import Parameter
 
 GRID = 9  # values along each nonlinear parameter, where there are few
 MOST = 800  # points of a grid
+NEAR = 4.0  # bounds by at most this factor beyond the range of starting values are tried as well
 
 
 @lru_cache(maxsize=256)
@@ -22,7 +23,13 @@ def _axis(q: Parameter, n: int) -> FloatArray:
         return np.array([q.lower])
     low, high = q.start or (q.lower, q.upper)
     low, high = max(low, q.lower), min(high, q.upper)
-    return np.geomspace(low, high, n) if q.scale == "log" else np.linspace(low, high, n)
+    if q.scale != "log":
+        return np.linspace(low, high, n)
+    # A lobe as wide or as narrow as it may be is a minimum of its own where none is seen.
+    ends = [
+        end for end in (q.lower, q.upper) if high < end <= NEAR * high or low / NEAR <= end < low
+    ]
+    return np.sort([*np.geomspace(low, high, max(n - len(ends) + 1, 2)), *ends])
 
 
 def _counts(problem: Problem, index: Sequence[int], most: int) -> int:

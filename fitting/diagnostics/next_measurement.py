@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,36 +80,31 @@ def suggest_measurement(
     problem, optimum, noise_scale = minimum.problem, minimum.optimum, minimum.noise_scale
     if len(problem.independent.pieces()) > 1:
         return None  # the parts of a joint fit have their own directions
-    isotropic = problem.model.claims.isotropic
-    patterns = (*PATTERNS, *NARROW) if anew else tuple(PATTERNS)
-    kinds = list(_kinds(patterns, isotropic=isotropic))
     d = problem.samples.directions
     base = float(np.broadcast_to(d.phi_i, (problem.n,))[0])
-    blocks = [unit_directions(i, base + r, pattern) for i, r, pattern in kinds]
-    counts = [len(block[0]) for block in blocks]
-    w_i = np.repeat([unit_vectors(i, base + r) for i, r, _ in kinds], counts, axis=0)
-    theta_r, phi_r = (np.concatenate([block[k] for block in blocks]) for k in (0, 1))
-    theta_i, phi_i = angles(w_i)
-    f, jacobian = problem.model_at(Directions(theta_i, phi_i, theta_r, phi_r), optimum.p)
+    patterns = (*PATTERNS, *NARROW) if anew else tuple(PATTERNS)
+    candidates = _candidates(patterns, base, isotropic=problem.model.claims.isotropic)
+    f, jacobian = problem.model_at(candidates.directions, optimum.p)
     u = _noise(problem, optimum.p, f, noise_scale)
     now = optimum.curvature / (noise_scale or 1.0) ** 2 * (DISCOUNT if anew else 1.0)
     free = np.flatnonzero(optimum.free)
+    size = np.maximum(np.abs(optimum.p), 1e-12)
     best: tuple[float, int, FloatArray] | None = None
-    for k, (start, n) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
+    for k, (start, n) in enumerate(candidates.blocks):
         rows = jacobian[start : start + n] / u[start : start + n, None]
         # As many directions for each, also where part of a pattern lies below the horizon.
-        if anew and not _carried(now, rows, optimum.free, wanted) >= ENOUGH:
-            continue
         reached = _standard(now + rows.T @ rows * (N / n), free)
-        size = np.maximum(np.abs(optimum.p), 1e-12)
         merit = float(
             np.sum(np.where(np.isfinite(reached), np.log(reached / size), _MISSING)[wanted])
         )
-        if best is None or merit < best[0] - AS_GOOD * len(wanted):
+        if best is not None and not merit < best[0] - AS_GOOD * len(wanted):
+            continue
+        if not anew or _carried(now, rows, optimum.free, wanted) >= ENOUGH:
             best = (merit, k, reached)
     if best is None or not np.all(np.isfinite(best[2][wanted])):
         return None
-    return _suggestion(problem, kinds[best[1]], best[2], wanted, noise_known=noise_scale > 0)
+    kind = candidates.kinds[best[1]]
+    return _suggestion(problem, kind, best[2], wanted, noise_known=noise_scale > 0)
 
 
 def _suggestion(
@@ -140,12 +136,31 @@ def _suggestion(
     )  # fmt: skip
 
 
-def _kinds(patterns: Sequence[str], *, isotropic: bool) -> Iterator[tuple[float, float, str]]:
-    """Incidence, rotation (radians) and pattern of every candidate, the simplest first."""
-    for pattern in patterns:
-        for rotation in (0,) if isotropic else ROTATIONS_DEG:
-            for theta_i in INCIDENCES_DEG:
-                yield float(np.radians(theta_i)), float(np.radians(rotation)), pattern
+@dataclass(frozen=True)
+class _Candidates:
+    """Measurements to choose from, the simplest first."""
+
+    kinds: tuple[tuple[float, float, str], ...]  # incidence, rotation (radians) and pattern
+    directions: Directions  # of all, one measurement after the other
+    blocks: tuple[tuple[int, int], ...]  # first of each measurement's directions, and their number
+
+
+@lru_cache(maxsize=16)  # the same ones for every fit of samples that begin at one azimuth
+def _candidates(patterns: tuple[str, ...], base: float, *, isotropic: bool) -> _Candidates:
+    """Every candidate for samples whose first azimuth of incidence is `base`."""
+    kinds = tuple(
+        (float(np.radians(theta_i)), float(np.radians(rotation)), pattern)
+        for pattern in patterns
+        for rotation in ((0,) if isotropic else ROTATIONS_DEG)
+        for theta_i in INCIDENCES_DEG
+    )
+    seen = [unit_directions(i, base + r, pattern) for i, r, pattern in kinds]
+    counts = [len(theta_r) for theta_r, _ in seen]
+    w_i = np.repeat([unit_vectors(i, base + r) for i, r, _ in kinds], counts, axis=0)
+    theta_r, phi_r = (np.concatenate([each[k] for each in seen]) for k in (0, 1))
+    starts = np.cumsum([0, *counts[:-1]]).tolist()
+    directions = Directions(*angles(w_i), theta_r, phi_r)
+    return _Candidates(kinds, directions, tuple(zip(starts, counts, strict=True)))
 
 
 def unit_directions(theta_i: float, phi_i: float, pattern: str) -> tuple[FloatArray, FloatArray]:

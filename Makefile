@@ -43,9 +43,12 @@ demo: $(INSTALLED)  ## simulate, reduce, fit and plot one material into demo/
 	gonio fit demo/rolled_aluminum.nc --model ward --posterior --seed 1 --truth demo/rolled_aluminum.gonio -o demo/rolled_aluminum.json
 	gonio plot demo/rolled_aluminum.json -o demo/rolled_aluminum.png
 
-# A process for each core; the tests of one file stay together, they share what is slow to make.
+# A process for each core, and one thread of BLAS in each: more would wait for each other's core. A
+# process takes half of what another has left when its own tests are done; most files stay together
+# and share what is slow to make.
+test: export OPENBLAS_NUM_THREADS = 1
 test: $(INSTALLED)  ## run the tests
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 bench: $(INSTALLED)  ## time the loops against numpy and other programs, BENCH='--only peers' some
 	$(BIN)/python -m benchmarks $(BENCH)

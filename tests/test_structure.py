@@ -583,7 +583,7 @@ def one_more(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(
             folder,
             site / name.replace(".", "/"),
-            ignore=shutil.ignore_patterns("__pycache__"),
+            ignore=shutil.ignore_patterns("*.pyc*", "*.tmp.*"),  # numba's code goes along
             dirs_exist_ok=True,
         )
     (site / "gonio/models/lommel_seeliger.py").write_text(block_of("python"), encoding="utf-8")
@@ -599,7 +599,6 @@ def run_with(site: Path, words: list[str], folder: Path) -> str:
             **os.environ,
             "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
             "PYTHONPATH": str(site),
-            "GONIO_CACHE_DIR": str(site / "cache"),
             "MPLBACKEND": "Agg",
         },
         capture_output=True,

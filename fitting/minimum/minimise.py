@@ -21,7 +21,8 @@ from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
 STARTS = 2  # starting values that are followed to their minimum,
-MANY_STARTS = 8  # and where more than two parameters are nonlinear: chi2 then has more than one
+MANY_STARTS = 8  # and where chi2 has more minima: with more than two nonlinear parameters, or two
+FEW_SAMPLES = 500  # and at most so many samples
 SEARCHES = 1  # starting values, the best ones, from which an engine searches
 FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples
 FIRST = 4000  # samples on which a start is followed before all are used
@@ -35,7 +36,8 @@ def starts(problem: Problem, n: int | None = None) -> list[FloatArray]:
     """The best n starting values, searched for in the data (`starting_values.candidates`)."""
     if n is None:
         nonlinear = sum(not q.linear and q.lower < q.upper for q in problem.parameters)
-        n = STARTS if nonlinear <= 2 else MANY_STARTS
+        few = nonlinear > 1 and problem.n <= FEW_SAMPLES
+        n = STARTS if nonlinear <= 2 and not few else MANY_STARTS
     return starting_values.candidates(problem, n)
 
 

@@ -27,6 +27,7 @@ SECTIONS = {
     "integral": "benchmarks.oren_nayar_numeric",
     "frames": "benchmarks.frames",
     "fits": "benchmarks.fits",
+    "whole fits": "benchmarks.whole_fits",
     "posteriors": "benchmarks.posteriors",
     "texels": "benchmarks.texels",
     "peers": "benchmarks.peers",

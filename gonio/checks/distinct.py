@@ -25,11 +25,21 @@ def numbered(*keys: FloatArray | NDArray[np.int64]) -> NDArray[np.int64]:
     >>> numbered(np.array([7.0, 3.0, 7.0]), np.array([0.0, 1.0, 2.0])).tolist()
     [1, 0, 2]
     """
-    number = np.zeros(len(keys[0]), np.int64)
-    for key in keys:
-        own = _ranked(np.asarray(key, np.int64))
-        number = _ranked(number * (int(own.max(initial=0)) + 1) + own)
+    first, *others = (np.asarray(key, np.int64) for key in keys)
+    number = _ranked(first)
+    for key in others:
+        least = int(key.min(initial=0))
+        span = int(key.max(initial=0)) - least + 1
+        if (int(number.max(initial=0)) + 1) * span > _table(len(key)):
+            key, least = _ranked(key), 0
+            span = int(key.max(initial=0)) + 1
+        number = _ranked(number * span + (key - least))
     return number
+
+
+def _table(n: int) -> int:
+    """Entries of the largest table of possible keys of so many samples."""
+    return 4 * n + TABLE
 
 
 def _ranked(key: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -38,7 +48,7 @@ def _ranked(key: NDArray[np.int64]) -> NDArray[np.int64]:
         return key
     least = int(key.min())
     span = int(key.max()) - least + 1
-    if span > 4 * len(key) + TABLE:
+    if span > _table(len(key)):
         return np.unique(key, return_inverse=True)[1].ravel().astype(np.int64)
     if span == 1:
         return np.zeros(len(key), np.int64)

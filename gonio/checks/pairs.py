@@ -14,6 +14,8 @@ from gonio.samples import ANGLES, BRDFSamples
 MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
 TOLERANCE_DEG = 2.0
 TRIED = 5  # times as many samples as pairs that are enough
+MANY = 8_000  # samples among which partners are looked for, where these are enough
+BAND = math.radians(6.0)  # width of the bands of azimuth that hold these
 REACH = 1.5  # tolerances within which the nearest sample is looked for
 
 Indices = NDArray[np.int64]
@@ -74,26 +76,25 @@ def reciprocal_pairs(
         Largest angle between each direction of a pair and its exact partner.
     enough : int, optional
         Partners are looked for of some samples only, evenly chosen, where these lead to so many
-        pairs.
+        pairs: of many samples those in bands of |phi_r - phi_i|, which both of a pair have.
     """
     tolerance = math.radians(tolerance_deg)
-    group = groups(samples)
-    theta_i, phi_i, theta_r, phi_r = four_angles(samples)
-    delta = np.abs(azimuth_between(theta_i, phi_i, theta_r, phi_r))
-    may = np.flatnonzero(_may_have_partner(theta_i, theta_r, tolerance))
-    k = j = np.zeros(0, np.int64)
+    four = four_angles(samples)
     # If the sample was never rotated, only the plane of incidence holds such partners.
-    assumed = _one_azimuth(phi_i[theta_i > tolerance], tolerance)
+    assumed = _one_azimuth(four[1][four[0] > tolerance], tolerance)
+    if enough is not None and len(samples) > 2 * MANY:
+        some = _in_bands(azimuth_between(*four))
+        k, j = _exchanged(samples, some, tolerance, enough, isotropic=assumed)
+        if len(k) >= enough:
+            return Pairs(k, j, assumed)
+    every = np.arange(len(samples))
+    k = j = np.zeros(0, np.int64)
     if not assumed:
-        directions = Directions(theta_i[may], phi_i[may], theta_r[may], phi_r[may])
-        k, j = _partners(directions, directions.swapped(), group[may], tolerance, enough)
+        k, j = _exchanged(samples, every, tolerance, enough, isotropic=False)
         assumed = len(k) < MIN_PAIRS
     if assumed:
-        zero = np.zeros(len(may))
-        folded = Directions(theta_i[may], zero, theta_r[may], delta[may])
-        exchanged = Directions(theta_r[may], zero, theta_i[may], delta[may])
-        k, j = _partners(folded, exchanged, group[may], tolerance, enough)
-    return Pairs(may[k], may[j], assumed)
+        k, j = _exchanged(samples, every, tolerance, enough, isotropic=True)
+    return Pairs(k, j, assumed)
 
 
 def mirror_pairs(
@@ -126,8 +127,7 @@ def groups(samples: BRDFSamples) -> Indices:
 
 def wrapped(angle: FloatArray) -> FloatArray:
     """The same azimuth in [-pi, pi)."""
-    result: FloatArray = (angle + np.pi) % (2 * np.pi) - np.pi
-    return result
+    return np.asarray(angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi)))
 
 
 def azimuth_between(
@@ -147,7 +147,39 @@ def disagreement(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _one_azimuth(phi: FloatArray, tolerance: float) -> bool:
     """Whether all azimuths are the same."""
-    return not len(phi) or bool(np.all(np.abs(wrapped(phi - phi[0])) < tolerance))
+    if not len(phi) or not np.ptp(phi):
+        return True
+    return bool(np.all(np.abs(wrapped(phi - phi[0])) < tolerance))
+
+
+def _in_bands(delta: FloatArray) -> Indices:
+    """Samples in some bands of |phi_r - phi_i|, at least `MANY` of them."""
+    band = (np.abs(delta) / BAND).astype(np.int64)
+    counts = np.bincount(band)
+    # Multiples of the golden ratio: spread evenly, without the period of a grid.
+    order = np.argsort((np.arange(len(counts)) * 0.6180339887498949) % 1.0)
+    chosen = np.zeros(len(counts), bool)
+    chosen[order[: np.searchsorted(np.cumsum(counts[order]), MANY) + 1]] = True
+    return np.flatnonzero(chosen[band])
+
+
+def _exchanged(
+    samples: BRDFSamples, some: Indices, tolerance: float, enough: int | None, *, isotropic: bool
+) -> tuple[Indices, Indices]:
+    """Pairs among some samples, of an isotropic surface at any azimuth of the sample."""
+    theta_i, phi_i, theta_r, phi_r = (a[some] for a in four_angles(samples))
+    may = _may_have_partner(theta_i, theta_r, tolerance)
+    some = some[may]
+    theta_i, phi_i, theta_r, phi_r = (a[may] for a in (theta_i, phi_i, theta_r, phi_r))
+    if isotropic:
+        phi_r = np.abs(azimuth_between(theta_i, phi_i, theta_r, phi_r))
+        phi_i = np.zeros(len(some))
+        exchanged = Directions(theta_r, phi_i, theta_i, phi_r)
+    else:
+        exchanged = Directions(theta_r, phi_r, theta_i, phi_i)
+    have = Directions(theta_i, phi_i, theta_r, phi_r)
+    k, j = _partners(have, exchanged, groups(samples)[some], tolerance, enough)
+    return some[k], some[j]
 
 
 def _may_have_partner(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.checks.distinct import numbered
 from gonio.checks.pairs import MIN_PAIRS, Pairs, disagreement
 from gonio.geometry import FloatArray
 
@@ -75,31 +76,32 @@ def quantity_of(
     between pairs of polar angles, because what breaks reciprocity is shared within these.
     """
     k, j = pairs.k, pairs.j
-    cos_i, cos_r = np.cos(theta_i), np.cos(theta_r)
+    cosines = [np.cos(theta[index]) for theta in (theta_i, theta_r) for index in (k, j)]
     # At the horizon the cosine is 0 and cannot be divided by.
-    above = np.min([cos_i[k], cos_i[j], cos_r[k], cos_r[j]], axis=0, initial=1.0) > 1e-6
-    telling = above & (disagreement(cos_r[k], cos_r[j]) > MIN_CONTRAST)
+    above = np.min(cosines, axis=0, initial=1.0) > 1e-6
+    telling = above & (disagreement(cosines[2], cosines[3]) > MIN_CONTRAST)
     k, j = k[telling], j[telling]
+    i_k, i_j, r_k, r_j = (cosine[telling] for cosine in cosines)
     if len(k) == 0:
         return QuantityTest(UNDECIDED, {}, 0, None, None, _few(0))
-    cosines = {BRDF: np.ones_like(cos_r), WITH_COS_R: cos_r, WITH_COS_I: cos_i}
+    held = {BRDF: (1.0, 1.0), WITH_COS_R: (r_k, r_j), WITH_COS_I: (i_k, i_j)}
     candidates = {
-        name: float(np.median(disagreement(value[k] / c[k], value[j] / c[j])))
-        for name, c in cosines.items()
+        name: float(np.median(disagreement(value[k] / of_k, value[j] / of_j)))
+        for name, (of_k, of_j) in held.items()
     }
     if len(k) < MIN_PAIRS:
         return QuantityTest(UNDECIDED, candidates, len(k), None, None, _few(len(k)))
-    floor = np.zeros_like(value) if u is None else 3 * u
-    bright = (value[k] > floor[k]) & (value[j] > floor[j])
+    floor_k, floor_j = (0.0, 0.0) if u is None else (3 * u[k], 3 * u[j])
+    bright = (value[k] > floor_k) & (value[j] > floor_j)
     if np.count_nonzero(bright) < max(MIN_PAIRS, 0.8 * len(k)):
         n = np.count_nonzero(bright)
         why = f"Undecided: only {n} of {len(k)} pairs stand out of the noise."
         return QuantityTest(UNDECIDED, candidates, len(k), None, None, why)
-    angles = np.round(np.degrees(np.sort(np.stack([theta_i[k], theta_r[k]]), axis=0)))
-    group = np.unique(angles[:, bright], axis=1, return_inverse=True)[1].ravel()
     n_telling = len(k)
     k, j = k[bright], j[bright]
-    y, c = np.log(value[k] / value[j]), np.log(cos_r[k] / cos_r[j])
+    polar = np.round(np.degrees(np.sort(np.stack([theta_i[k], theta_r[k]]), axis=0)))
+    group = numbered(polar[0], polar[1])
+    y, c = np.log(value[k] / value[j]), np.log(r_k[bright] / r_j[bright])
     power, u_power, agreeing = _slope(y, c, group)
     scatter = float(1.4826 * np.median(np.abs(y - power * c)))
     best = min(POWERS, key=lambda name: abs(power - POWERS[name]))
@@ -112,15 +114,12 @@ def _few(n: int) -> str:
 
 
 def _slope(
-    y: FloatArray, c: FloatArray, group: NDArray[np.intp]
+    y: FloatArray, c: FloatArray, group: NDArray[np.int64]
 ) -> tuple[float, float, dict[int, float]]:
     """Robust slope through 0, its standard uncertainty, and the share of groups for each power."""
     power = _median(y / c, np.abs(c))
     iid = 1.2533 * 1.4826 * float(np.median(np.abs(y - power * c))) / np.sqrt(np.sum(c**2))
-    of_group = np.array(
-        [_median((y / c)[group == g], np.abs(c)[group == g]) for g in range(int(group.max()) + 1)]
-    )
-    weight: FloatArray = np.bincount(group, weights=np.abs(c)).astype(np.float64)
+    of_group, weight = _medians(y / c, np.abs(c), group)
     if len(of_group) > 2:
         off = 1.4826 * _median(np.abs(of_group - power), weight)
         between = 1.2533 * off * np.sqrt(np.sum(weight**2)) / np.sum(weight)
@@ -139,6 +138,21 @@ def _median(values: FloatArray, weight: FloatArray) -> float:
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _medians(
+    values: FloatArray, weight: FloatArray, group: NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray]:
+    """The weighted median and the weight of each group."""
+    order = np.lexsort((values, group))
+    total = np.cumsum(weight[order])
+    ends = np.cumsum(np.bincount(group))
+    before = np.concatenate([[0.0], total[ends[:-1] - 1]])
+    own = total[ends - 1] - before
+    # Of two that are equally in the middle the smaller one, whatever rounding the sums have.
+    middle = np.searchsorted(total, before + (0.5 - 1e-9) * own)
+    first = np.concatenate([[0], ends[:-1]])
+    return values[order][np.clip(middle, first, ends - 1)], own
 
 
 def _doubt(

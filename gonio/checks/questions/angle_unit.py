@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,10 +18,15 @@ LEAST = 4  # different angles that decide
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
     """Angles of a file in degrees that are whole degrees only if they are radians."""
-    theta = np.degrees(np.concatenate([evidence.theta_i, evidence.theta_r]))
-    phi = np.degrees(np.concatenate([evidence.phi_i, evidence.phi_r]))
-    polar = bool(theta.size and theta.max() <= np.pi / 2 + 1e-3 and theta.max() > 0.05)
-    azimuths = bool(phi.size and np.abs(phi).max() <= 2 * np.pi + 1e-3 and np.abs(phi).max() > 0.05)
+    angles = evidence.theta_i, evidence.theta_r, evidence.phi_i, evidence.phi_r
+    if not evidence.n:
+        return
+    of_i, of_r, azimuth_i, azimuth_r = (math.degrees(max(a.max(), -a.min())) for a in angles)
+    polar = 0.05 < max(of_i, of_r) <= np.pi / 2 + 1e-3
+    azimuths = 0.05 < max(azimuth_i, azimuth_r) <= 2 * np.pi + 1e-3
+    if not polar and not azimuths:
+        return
+    theta, phi = (np.degrees(np.concatenate([angles[k], angles[k + 1]])) for k in (0, 2))
     whole_turns = azimuths and _quarter_turns(phi)
     if not polar and not whole_turns:
         return

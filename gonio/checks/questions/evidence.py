@@ -55,8 +55,10 @@ class Evidence:
     @cached_property
     def incidence(self) -> NDArray[np.int64]:
         """Index of the incident direction of each sample, to a hundredth of a degree."""
-        phi = np.where(self.theta_i < 1e-6, 0.0, np.degrees(self.phi_i) % 360)
-        return numbered(np.rint(100 * np.degrees(self.theta_i)), np.rint(100 * phi))
+        per_radian = 18_000 / np.pi
+        phi = np.rint(self.phi_i * per_radian).astype(np.int64) % 36_000
+        phi *= self.theta_i >= 1e-6  # the normal has no azimuth
+        return numbered(np.rint(self.theta_i * per_radian), phi)
 
     @cached_property
     def n_incidences(self) -> int:
@@ -106,21 +108,6 @@ class Evidence:
         own[~own.any(axis=1), -1] = True
         others: NDArray[np.int64] = nearest[~own].reshape(self.n, k - 1).astype(np.int64)
         return others
-
-    @cached_property
-    def from_mirror(self) -> FloatArray:
-        """Tilt of the half vector from the normal, radians; 0 in the mirror direction."""
-        w_i, w_r = self.vectors
-        half = w_i + w_r
-        length = np.linalg.norm(half, axis=-1)
-        tilt = np.arccos(np.clip(half[..., 2] / np.maximum(length, 1e-12), -1, 1))
-        return np.broadcast_to(tilt, (self.n,))
-
-    @cached_property
-    def phase(self) -> FloatArray:
-        """Angle between light and viewer, radians; 0 in the direction of the light."""
-        w_i, w_r = self.vectors
-        return np.broadcast_to(np.arccos(np.clip(np.sum(w_i * w_r, axis=-1), -1, 1)), (self.n,))
 
     @cached_property
     def lobes(self) -> LobeFit | None:

@@ -9,11 +9,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.geometry import FloatArray, unit_vectors
+from gonio.geometry import FloatArray
 
 WIDTHS = np.geomspace(0.02, 0.8, 12)  # tan of the tilt where a lobe falls to 1/e
 MOST = 1500  # samples that are looked at
 LEAST = 20
+LEAST_LOG = -300.0  # of a lobe: squares of the smallest are still normal numbers
 VARIATION = 0.1  # relative scatter of the values below which there is no lobe
 
 
@@ -69,48 +70,71 @@ def lobe_fit(
         return None
     value = value / np.median(value)  # any unit, without overflow
     root = 1 / (np.maximum(value, 0) + 1)
-    mirror, retro, growing = _lobes(theta_i, theta_r, delta)
-    turned, _, _ = _lobes(theta_i, theta_r, delta + np.pi)
-    high, high_retro, _ = _lobes(np.pi / 2 - theta_i, np.pi / 2 - theta_r, delta)
+    tilt, off, level = _tilts(theta_i, theta_r, delta)
+    tilt_turned, _, _ = _tilts(theta_i, theta_r, delta + np.pi)
+    tilt_high, off_high, level_high = _tilts(np.pi / 2 - theta_i, np.pi / 2 - theta_r, delta)
     steep, flat = np.maximum(theta_i, theta_r), np.minimum(theta_i, theta_r)
     shading = np.maximum(np.cos(delta), 0) * np.sin(steep) * np.tan(flat)
-    every = [mirror, retro, growing, turned, high, high_retro, [shading]]
-    fit = _Fits(root * value, root, [lobe for lobes in every for lobe in lobes])
+    n = len(WIDTHS)
+    rows = np.empty((6 * n + 2, len(value)))
+    rows[0], rows[-1] = root, root * shading
+    one = np.ones(len(value))
+    kinds = [(tilt, level), (off, one), (off, level), (tilt_turned, level),
+             (tilt_high, level_high), (off_high, one)]  # fmt: skip
+    for k, (square, factor) in enumerate(kinds):
+        _lobes(square, root * factor, rows[1 + k * n : 1 + (k + 1) * n])
+    fit = _Fits(root * value, rows)
     if fit.total / len(value) < (VARIATION / 2) ** 2:
         return None
-    n = len(WIDTHS)
-    m, r, g, t, e, s = (list(range(k * n, (k + 1) * n)) for k in range(6))
-    rough = float(np.min(fit.left([(a, b, 6 * n) for a, b in combinations(r, 2)])))
+    alone = fit.left([[k] for k in range(6 * n)])
+    m, r, g, t, e, s = (alone[k * n : (k + 1) * n] for k in range(6))
+    best_m, best_r, best_e, best_s = (int(np.argmin(x)) for x in (m, r, e, s))
+    # One lobe of each kind, each the best beside the other's best.
+    two = [*((best_m, n + k) for k in range(n)), *((k, n + best_r) for k in range(n))]
+    two += [*((4 * n + best_e, 5 * n + k) for k in range(n)),
+            *((4 * n + k, 5 * n + best_s) for k in range(n))]  # fmt: skip
+    as_written, elevations = fit.left(two).reshape(2, -1).min(axis=1)
+    rough = fit.left([(n + a, n + b, 6 * n) for a, b in combinations(range(n), 2)]).min()
     return LobeFit(
-        as_written=fit.of_two(m, r),
-        mirror=fit.of_one(m),
-        azimuth_turned=fit.of_one(t),
-        retro=min(fit.of_one(r), fit.of_one(g), rough),
-        elevations=fit.of_two(e, s),
+        as_written=float(as_written),
+        mirror=float(m.min()),
+        azimuth_turned=float(t.min()),
+        retro=float(min(r.min(), g.min(), rough)),
+        elevations=float(elevations),
     )
 
 
-def _lobes(
+def _tilts(
     theta_i: FloatArray, theta_r: FloatArray, delta: FloatArray
-) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
-    """Lobes about the mirror direction, and of both kinds about the direction of the light."""
-    w_i, w_r = unit_vectors(theta_i, np.zeros_like(theta_i)), unit_vectors(theta_r, delta)
-    half = w_i + w_r
-    height = np.maximum(half[:, 2], 1e-12)
-    tan2 = (half[:, 0] ** 2 + half[:, 1] ** 2) / height**2
-    level = 1 / np.sqrt(np.maximum(w_i[:, 2] * w_r[:, 2], 1e-6))
-    off = np.arccos(np.clip(np.sum(w_i * w_r, axis=1), -1, 1)) / 2
-    mirror = [level * np.exp(-np.minimum(tan2 / w**2, 700)) for w in WIDTHS]
-    retro = [np.exp(-np.minimum((off / w) ** 2, 700)) for w in WIDTHS]
-    return mirror, retro, [level * lobe for lobe in retro]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Squares of tan(tilt) of the half vector and of half the angle from the light.
+
+    The third array is 1/sqrt(cos theta_i cos theta_r).
+    """
+    sine_i, cosine_i = np.sin(theta_i), np.cos(theta_i)
+    sine_r, cosine_r = np.sin(theta_r), np.cos(theta_r)
+    cosine = np.cos(delta)
+    across = sine_r * np.sin(delta)
+    height = np.maximum(cosine_i + cosine_r, 1e-12)
+    tan2 = ((sine_i + sine_r * cosine) ** 2 + across**2) / height**2
+    level = 1 / np.sqrt(np.maximum(cosine_i * cosine_r, 1e-6))
+    off = np.arccos(np.clip(sine_i * sine_r * cosine + cosine_i * cosine_r, -1, 1)) / 2
+    return tan2, off**2, level
+
+
+def _lobes(square: FloatArray, factor: FloatArray, out: FloatArray) -> None:
+    """Lobes of all widths over the squares of an angle, times a factor, into (widths, N)."""
+    np.multiply(square, -1 / WIDTHS[:, None] ** 2, out=out)
+    np.maximum(out, LEAST_LOG, out=out)
+    np.exp(out, out=out)
+    out *= factor
 
 
 class _Fits:
-    """Fits of a constant and some lobes, from the sums of products of all of them."""
+    """Fits of a constant, the first of some rows (K, N), and others, from their products."""
 
-    def __init__(self, y: FloatArray, root: FloatArray, lobes: Sequence[FloatArray]) -> None:
-        columns = np.stack([root, *(root * lobe for lobe in lobes)], axis=1)
-        self.products, self.on_y, self.y2 = columns.T @ columns, columns.T @ y, float(y @ y)
+    def __init__(self, y: FloatArray, rows: FloatArray) -> None:
+        self.products, self.on_y, self.y2 = rows @ rows.T, rows @ y, float(y @ y)
         self.scale = np.sqrt(np.maximum(np.diag(self.products), 1e-300))
         self.total = max(float(self._left(np.zeros((1, 1), np.int64))[0]), 1e-300)
 
@@ -119,17 +143,6 @@ class _Fits:
         use = np.asarray(lobes, np.int64) + 1
         level = np.zeros((len(use), 1), np.int64)
         return np.asarray(self._left(np.concatenate([level, use], axis=1)) / self.total)
-
-    def of_one(self, lobes: Sequence[int]) -> float:
-        """The least share left by one of the lobes."""
-        return float(np.min(self.left([(k,) for k in lobes])))
-
-    def of_two(self, lobes: Sequence[int], others: Sequence[int]) -> float:
-        """The share left by one lobe of each list, each the best beside the other's best."""
-        first = lobes[int(np.argmin(self.left([(k,) for k in lobes])))]
-        second = others[int(np.argmin(self.left([(k,) for k in others])))]
-        sets = [*((first, k) for k in others), *((k, second) for k in lobes)]
-        return float(np.min(self.left(sets)))
 
     def _left(self, use: NDArray[np.int64]) -> FloatArray:
         """Sum of squares left by each set of columns (M, K), of which the first is kept."""

@@ -17,6 +17,7 @@ AT_POLE = 0.2  # the same where they differ in an azimuth that means nothing
 ORDERED = 0.1  # the same where the repeats follow the same order everywhere
 IN_ORDER = 0.9  # share of the spread that the order of the lines explains
 FACTOR = 8.0  # times the stated uncertainty
+TURN = 2**23  # steps of a turn: less than 1e-6 rad each
 MULTIPLIER = 6364136223846793005  # odd and with bits in no order (Knuth)
 
 
@@ -53,13 +54,18 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _directions(evidence: Evidence) -> NDArray[np.int64]:
-    """A number for the direction pair of each sample, the same for equal ones."""
+    """A number for the direction pair of each sample, the same for those equal to 1e-6 rad."""
     key = np.zeros(evidence.n, np.int64)
-    for vector in evidence.vectors:
-        for component in range(3):
+    pairs = ((evidence.theta_i, evidence.phi_i), (evidence.theta_r, evidence.phi_r))
+    for theta, phi in pairs:
+        polar = np.rint(theta * (TURN / (2 * np.pi))).astype(np.int64)
+        azimuth = np.rint(phi * (TURN / (2 * np.pi))).astype(np.int64)
+        azimuth &= TURN - 1  # of whole turns the rest
+        azimuth *= polar > 1  # the normal has no azimuth
+        for angle in (polar, azimuth):
             # Products wrap around: other directions have the same number once in 10^18 pairs.
             key *= MULTIPLIER
-            key += np.rint(1e6 * vector[:, component]).astype(np.int64)
+            key += angle
     return key
 
 

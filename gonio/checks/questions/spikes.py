@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gonio.checks.questions.base import Finding, Question
 from gonio.checks.questions.evidence import Evidence
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, angles, unit_vectors
 
 FACTOR = 2.0  # times the larger of the values beside it
 SIGMAS = 8.0  # times the typical departure of ln f from the values beside it
@@ -57,7 +57,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
 
 def _scans(evidence: Evidence) -> Iterator[NDArray[np.int64]]:
     """Samples of each incidence in its plane, from one horizon to the other."""
-    in_plane = np.abs(np.sin(evidence.delta)) < IN_PLANE
+    away = np.abs(evidence.delta)
+    in_plane = np.minimum(away, np.pi - away) < np.arcsin(IN_PLANE)
     for number in range(min(evidence.n_incidences, 400)):
         index = evidence.of_incidence(number)
         index = index[in_plane[index]]
@@ -81,7 +82,11 @@ def _stands_out(evidence: Evidence, scan: NDArray[np.int64]) -> NDArray[np.bool_
     stands: NDArray[np.bool_] = middle > FACTOR * np.maximum(around[1], around[2])
     stands &= np.all(around > 0, axis=0) & (around.max(axis=0) < LEVEL * around.min(axis=0))
     stands &= (side[4:] - side[2:-2] < GAP_DEG) & (side[2:-2] - side[:-4] < GAP_DEG)
-    away = np.degrees(np.minimum(evidence.from_mirror[own], evidence.phase[own] / 2)) > AWAY_DEG
+    w_i = unit_vectors(evidence.theta_i[own], evidence.phi_i[own])
+    w_r = unit_vectors(evidence.theta_r[own], evidence.phi_r[own])
+    half = angles(w_i + w_r)[0]
+    phase = np.arccos(np.clip(np.sum(w_i * w_r, axis=-1), -1, 1))
+    away = np.degrees(np.minimum(half, phase / 2)) > AWAY_DEG
     steep = np.degrees(np.maximum(evidence.theta_i[own], evidence.theta_r[own])) < GRAZING_DEG
     if evidence.u is not None:
         stands &= middle - around.max(axis=0) > SIGMAS * evidence.u[own]

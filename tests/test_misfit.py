@@ -60,9 +60,9 @@ def test_one_clear_component_is_not_outweighed_by_p_values_near_one():
 
 
 def test_smooth_columns_have_the_covariance_they_stand_for():
-    x = np.linspace(0, 1, 25)[:, None]
-    columns = smooth_columns(x, (40,), 0.15).full
-    distance = np.sqrt(3) * np.abs(x - x.T) / 0.15
+    x = np.linspace(0, 1, 25)
+    columns = smooth_columns([x], {SMOOTH: ((40,), 0.15)}).full(SMOOTH)
+    distance = np.sqrt(3) * np.abs(x[:, None] - x) / 0.15
     matern = (1 + distance) * np.exp(-distance)
     assert np.max(np.abs(columns @ columns.T - matern)) < 0.06
 

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, unit_vectors
 
 STEP = 0.1  # of the error: over which the slope of the model is taken
-MOST = 20_000  # samples whose slope is taken
+MOST = 5_000  # samples whose slope is taken
 
 
 def moved_by_angles(minimum: Minimum, gain: FloatArray, u_angle: float) -> FloatArray:
@@ -28,20 +28,36 @@ def moved_by_angles(minimum: Minimum, gain: FloatArray, u_angle: float) -> Float
     problem, p = minimum.problem.independent, minimum.optimum.p
     variance = np.zeros(gain.shape[1])
     for piece, where, index in problem.pieces():
-        some = np.arange(piece.n)
-        if piece.n > MOST:
-            some = np.unique(np.linspace(0, piece.n - 1, MOST).astype(np.int64))
+        own = gain[where]
+        some, stands_for = _telling(own)
         here = piece if len(some) == piece.n else piece.at(some)
         root = np.sqrt(minimum.problem.inverse_variance[where][some])
         square = _slope_squared(here, p[index], STEP * u_angle) * u_angle**2 * root**2
-        variance += (gain[where][some] ** 2).T @ square * (piece.n / len(some))
+        variance += (own[some] ** 2).T @ (square * stands_for)
     return np.sqrt(variance)
+
+
+def _telling(gain: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Samples that move the parameters most, others evenly, and how many each stands for."""
+    n, half = len(gain), MOST // 2
+    if n <= MOST:
+        return np.arange(n), np.ones(n)
+    carried = np.zeros(n)
+    for column in gain.T:
+        square = column**2
+        square /= max(float(square.sum()), 1e-300)
+        carried += square
+    most = np.argpartition(carried, n - half)[n - half :]
+    is_other = np.ones(n, np.bool_)
+    is_other[most] = False
+    few = np.flatnonzero(is_other)[np.linspace(0, n - half - 1, half).astype(np.int64)]
+    return np.concatenate([most, few]), np.repeat([1.0, (n - half) / half], half)
 
 
 def _slope_squared(problem: Problem, p: FloatArray, step: float) -> FloatArray:
     """Squared gradient of the samples (N,) over their viewing directions, per radian squared."""
-    _, w_r = problem.samples.directions.vectors()
-    w_r = np.broadcast_to(w_r, (problem.n, 3))
+    d = problem.samples.directions
+    w_r = np.broadcast_to(unit_vectors(d.theta_r, d.phi_r), (problem.n, 3))
     found = np.zeros(problem.n)
     for axis in _tangents(w_r):
         ends = [problem.with_directions(shift=s * step * axis).values(p) for s in (1, -1)]
@@ -51,9 +67,10 @@ def _slope_squared(problem: Problem, p: FloatArray, step: float) -> FloatArray:
 
 def _tangents(w: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two unit vectors across each direction (N, 3)."""
-    helper: NDArray[np.float64] = np.where(
-        np.abs(w[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]
-    )
-    across = np.cross(w, helper)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    return across, np.cross(w, across)
+    x, y, z = w[:, 0], w[:, 1], w[:, 2]
+    zero = np.zeros(len(w))
+    # Across x, where the direction is not near it, else across y.
+    a = np.where(np.abs(x) < 0.9, [zero, z, -y], [-z, zero, x])
+    a /= np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
+    along = np.stack([y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]])
+    return a.T, along.T

@@ -41,8 +41,10 @@ def causes_of(
 ) -> list[str]:
     """One sentence for each exchange that the data do not determine, and each missing effect."""
     names = [q.name for q in problem.parameters]
-    why = facts(problem)
-    because = f" ({'; '.join(why)})" if why else ""
+    because = ""
+    if hard or np.any(values < UNDETERMINED):
+        why = facts(problem)
+        because = f" ({'; '.join(why)})" if why else ""
     causes = []
     for k in sorted(missing - set(informed.tolist())):
         causes.append(_without_effect(problem, optimum, k))

@@ -27,7 +27,7 @@ from gonio.kernels.boxed import UNDETERMINED
 
 STRONG = 0.95  # correlation that is reported
 INFLATED = 10.0  # growth of an uncertainty by exchange that makes it a weak one
-MOST = 20_000  # samples from which the bound is computed
+MOST = 20_000  # samples from which the bound is computed where these share errors
 
 
 @dataclass(frozen=True)
@@ -228,11 +228,14 @@ def _bounds(
     index = _determined(free, missing)
     if noise_scale <= 0 or len(index) == 0 or len(problem.pieces()) > 1:
         return bounds
-    # Shared errors are marginalised here, none is profiled. Of many samples some stand for all,
-    # each with the information of several.
-    some = thinned(problem.independent, MOST)
-    of_part = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
-    _, inverse = curvature.marginal_inverse(of_part, optimum.free)
+    if problem.quadratic and not (problem.profiled or problem.samples.shared):
+        all_told = optimum.curvature / noise_scale**2
+    else:
+        # Shared errors are marginalised here, none is profiled. Of many samples some stand for
+        # all, each with the information of several.
+        some = thinned(problem.independent, MOST)
+        all_told = information(some, optimum.p, noise_scale * np.sqrt(some.n / problem.n))
+    _, inverse = curvature.marginal_inverse(all_told, optimum.free)
     for k, v in zip(index.tolist(), np.diag(inverse)[index], strict=True):
         q = problem.parameters[k]
         bounds[q.name] = q.to_file(float(np.sqrt(v))) if v > 0 else None

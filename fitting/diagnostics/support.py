@@ -78,17 +78,26 @@ def supports(minimum: Minimum, estimates: Mapping[str, Estimate]) -> dict[str, S
         weight = gain[:, j] ** 2
         weight = weight / max(float(weight.sum()), 1e-300)
         leverage = float(weight @ informed.leverage)
-        first = np.argsort(weight)[::-1][:NAMED]
+        first = _largest(weight)
         moved = None if angles is None else float(angles[j])
         found[q.name] = Support(
             effective_samples=float(number[j]) if np.isfinite(number[j]) else 0.0,
             leverage=leverage,
             moved_by_angles=None if moved is None else q.to_file(moved),
-            samples=tuple(int(k) for k in first),
+            samples=tuple(first),
             shares=tuple(float(weight[k]) for k in first),
             reasons=tuple(_reasons(estimates[q.name], float(number[j]), leverage, moved)),
         )
     return found
+
+
+def _largest(weight: FloatArray) -> list[int]:
+    """The samples with the largest weights, by size; of equal ones the last."""
+    left, first = weight.copy(), []
+    for _ in range(min(NAMED, len(left))):
+        first.append(len(left) - 1 - int(np.argmax(left[::-1])))
+        left[first[-1]] = -1.0
+    return first
 
 
 def _reasons(estimate: Estimate, number: float, leverage: float, moved: float | None) -> list[str]:

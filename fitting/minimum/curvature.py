@@ -68,7 +68,7 @@ def marginal_root(
     root = np.zeros((len(h), 0))
     if len(index):
         scale = 1 / np.sqrt(np.diag(h)[index])
-        along = within_sum(scale * np.isin(index, limited))
+        along = within_sum(scale * np.isin(index, limited) if limited else np.zeros(len(index)))
         scaled = h[np.ix_(index, index)] * np.outer(scale, scale)
         values, vectors = np.linalg.eigh(along.T @ scaled @ along)
         informed = values >= UNDETERMINED

@@ -26,6 +26,7 @@ TINY = 1e-100  # sr^-1: values whose squares would vanish
 SAME = 1e-4  # rms deviation below which laws are equally good
 ROUNDS = 20  # in which the place of u within its rounding follows the law
 TERMS = [[0], [2], [1], [0, 2], [0, 1], [1, 2], [0, 1, 2]]  # simplest laws first
+FEW = 500  # samples of many in which a law is looked for before it is in all
 FIRST = 64  # uncertainties that are looked at before all others
 MOST_DIGITS = 4  # digits of u_brdf that are looked for; more are no rounding
 
@@ -114,6 +115,11 @@ def noise_law(value: FloatArray, u: FloatArray, f: FloatArray) -> NoiseLaw | Non
     """
     if len(value) < LEAST or not np.all(u > 0) or not np.any(value):
         return None
+    if len(value) > 2 * FEW:
+        # Multiples of the golden ratio: spread evenly, without the period of a scan.
+        some = ((np.arange(FEW) * 0.6180339887498949) % 1.0 * len(value)).astype(np.int64)
+        if noise_law(value[some], u[some], f[some]) is None:
+            return None
     quantum = rounding(u)
     # Of laws in f twice the best deviation is accepted: this one leaves no room for the readings.
     constant = np.ptp(u[:FIRST]) < EXPLAINS * u[0]

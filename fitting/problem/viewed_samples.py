@@ -81,8 +81,8 @@ class ViewedSamples:
         cells, w_i, w_r = self.cells, self.w_i, self.cells.w_r
         members = np.diff(cells.offsets)
         if shift is not None:
-            w_r = w_r + np.repeat(shift, members, axis=0)
-            w_r /= np.linalg.norm(w_r, axis=1, keepdims=True)
+            w_r = w_r + (shift if self.are_points else np.repeat(shift, members, axis=0))
+            w_r /= np.sqrt(np.einsum("nk,nk->n", w_r, w_r))[:, None]
         if np.any(turn):
             each = np.broadcast_to(turn, len(self))
             w_i = np.ascontiguousarray(rotated(w_i, each))

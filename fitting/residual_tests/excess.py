@@ -66,8 +66,8 @@ def excess_of(base: Base, *, shared: bool = True) -> Excess:
     chi-squared is noncentral, with the squares of the model's errors in units of the noise as its
     noncentrality. Its interval is that of the normal law with its mean and variance.
     """
-    from scipy import stats
     from scipy.sparse import csr_array, diags_array
+    from scipy.special import chdtrc
 
     problem, f, residual = base.problem, base.f, base.residual
     variance = stated_variance(problem, f)
@@ -85,7 +85,7 @@ def excess_of(base: Base, *, shared: bool = True) -> Excess:
     z = columns[:, -1] - q @ (q.T @ columns[:, -1])
     chi2, dof = float(z @ z), float(problem.n - q.shape[1])
     counted = counted_dof(problem, variance, dof)
-    p = float(stats.chi2.sf(chi2 * counted / max(dof, 1.0), max(counted, 1.0)))
+    p = float(chdtrc(max(counted, 1.0), chi2 * counted / max(dof, 1.0)))
     scale = dof / max(counted, 1.0)
     low, _ = noncentrality(chi2 / scale, counted)
     # Residuals smaller than their noise do not make it see more than it can.

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.checks.distinct import numbered
 from gonio.fitting.problem.protocol import Problem
-from gonio.geometry import FloatArray, unit_vectors
+from gonio.geometry import FloatArray
 
 LEAST = 8  # samples in a group
 NORMAL_DEG = 0.5  # theta_i below which phi_i means nothing
@@ -32,26 +33,27 @@ HEMISPHERE = "cells of the hemisphere about the lobe, by incidence"
 MAPPED = (RINGS, HEMISPHERE)
 
 
-def groupings_of(problem: Problem) -> dict[str, Grouping]:
-    d, n = problem.samples.directions, problem.n
-    theta_i, phi_i, theta_r, phi_r = (
-        np.asarray(np.broadcast_to(a, (n,)), float)
-        for a in (d.theta_i, d.phi_i, d.theta_r, d.phi_r)
-    )
-    w_i, w_r = unit_vectors(theta_i, phi_i), unit_vectors(theta_r, phi_r)
-    mirror = unit_vectors(theta_i, phi_i + np.pi)
-    away = 2 * np.arcsin(np.clip(np.linalg.norm(w_r - mirror, axis=1) / 2, 0, 1))
-    incidence = classes(np.degrees(theta_i), min(MOST_INCIDENCES, max(1, n // 60)))
-    middle = [float(np.median(np.degrees(theta_i)[incidence == k]))
-              for k in range(incidence.max(initial=0) + 1)]  # fmt: skip
+def groupings_of(problem: Problem, vectors: tuple[FloatArray, FloatArray]) -> dict[str, Grouping]:
+    """Groups of samples by what they are told apart.
+
+    Parameters
+    ----------
+    problem : Problem
+    vectors : tuple of ndarray, shape (N, 3)
+        Unit vectors towards the light and towards the viewer.
+    """
+    theta_i, phi_i, theta_r, phi_r = directions_of(problem)
+    w_i, w_r = vectors
+    off = [w_r[:, 0] + w_i[:, 0], w_r[:, 1] + w_i[:, 1], w_r[:, 2] - w_i[:, 2]]  # from the mirror
+    away = 2 * np.arcsin(np.minimum(np.sqrt(off[0] ** 2 + off[1] ** 2 + off[2] ** 2) / 2, 1.0))
+    incidence = classes(np.degrees(theta_i), min(MOST_INCIDENCES, max(1, problem.n // 60)))
+    middle = _medians(np.degrees(theta_i), incidence)
     ring = np.searchsorted(np.radians(RINGS_DEG), away)
-    half = w_i + w_r
-    azimuth = np.degrees(np.arctan2(half[:, 1], half[:, 0])) % 180
+    azimuth = np.degrees(np.arctan2(off[1], off[0])) % 180  # of the half vector
     sector = np.minimum((azimuth / 22.5).astype(np.int64), 7)
     near = np.minimum(np.searchsorted(np.radians([8.0, 25.0]), away), 2)
     polar = classes(np.degrees(theta_r), 12)
-    middle_r = [float(np.median(np.degrees(theta_r)[polar == k]))
-                for k in range(polar.max(initial=0) + 1)]  # fmt: skip
+    middle_r = _medians(np.degrees(theta_r), polar)
     cells, cell_words = _cells(theta_r, phi_r - phi_i - np.pi)
     edges = ("0", *(f"{e:g}" for e in RINGS_DEG), "180")
     ring_words = [f"within {edges[k + 1]} deg of the mirror direction" if k == 0 else
@@ -74,18 +76,36 @@ def groupings_of(problem: Problem) -> dict[str, Grouping]:
     }
 
 
+def directions_of(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """theta_i, phi_i, theta_r and phi_r of each sample, (N,), radians."""
+    d, n = problem.samples.directions, problem.n
+    theta_i, phi_i, theta_r, phi_r = (
+        np.asarray(np.broadcast_to(a, (n,)), float)
+        for a in (d.theta_i, d.phi_i, d.theta_r, d.phi_r)
+    )
+    return theta_i, phi_i, theta_r, phi_r
+
+
+def _medians(values: FloatArray, number: NDArray[np.int64]) -> list[float]:
+    """Median of the values of each class."""
+    order = np.argsort(number, kind="stable")
+    ends = np.cumsum(np.bincount(number, minlength=1))
+    ranked = [np.sort(own) for own in np.split(values[order], ends[:-1])]
+    return [float(own[(len(own) - 1) // 2] + own[len(own) // 2]) / 2 for own in ranked]
+
+
 def incidence_directions(problem: Problem) -> NDArray[np.int64]:
     """Number of the direction of incidence of each sample to 1 degree, (N,), from 0 on."""
     d, n = problem.samples.directions, problem.n
     theta, phi = (np.degrees(np.broadcast_to(a, (n,))) for a in (d.theta_i, d.phi_i))
     phi = np.where(theta < NORMAL_DEG, 0.0, np.round(phi) % 360)
-    return np.unique(360 * np.round(theta) + phi, return_inverse=True)[1].astype(np.int64)
+    return numbered(np.asarray(np.round(theta), np.int64), np.asarray(phi, np.int64))
 
 
 def classes(values: FloatArray, most: int) -> NDArray[np.int64]:
     """Classes of values: the values themselves (to 1 deg) where few, else equally filled."""
-    levels, number = np.unique(np.round(values), return_inverse=True)
-    if len(levels) > most:
+    number = numbered(np.round(values))
+    if int(number.max(initial=-1)) + 1 > most:
         edges = np.unique(np.quantile(values, np.linspace(0, 1, most + 1)[1:-1]))
         number = np.unique(np.searchsorted(edges, values), return_inverse=True)[1]
     return np.asarray(number, dtype=np.int64)

@@ -98,6 +98,7 @@ def misfit_test(minimum: Minimum, *, shared: bool = True) -> MisfitTest | None:
 
 def misfit_test_of(base: Base, *, shared: bool = True) -> MisfitTest | None:
     """`misfit_test` where the fit's values and derivatives are at hand; made once."""
+    shared = shared and base.shared.shape[1] > 0  # without them both tests are one
     if (MisfitTest, shared) not in base.found:
         base.found[MisfitTest, shared] = _made(base, shared=shared)
     test: MisfitTest | None = base.found[MisfitTest, shared]
@@ -105,16 +106,18 @@ def misfit_test_of(base: Base, *, shared: bool = True) -> MisfitTest | None:
 
 
 def _made(base: Base, *, shared: bool) -> MisfitTest | None:
-    left = standardise(base.thinned(MOST), shared=shared)
+    base = base.thinned(MOST)
+    left = standardise(base, shared=shared)
     if left is None:
         return None
+    w_i, w_r = base.vectors
     found: dict[str, list[float]] = {}
     parts = []
     for piece, where, _ in left.problem.pieces():
         own = []
-        for name, columns in error_columns(piece, left.level[where]).items():
-            p = left.component_test(columns, where)
-            if p is not None:
+        vectors = (w_i[where], w_r[where])
+        for columns in error_columns(piece, vectors, left.level[where]):
+            for name, p in left.component_tests(columns, where).items():
                 own.append(p)
                 found.setdefault(name, []).append(p)
         parts.append(combined(own))

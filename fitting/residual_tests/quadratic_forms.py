@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,8 @@ from gonio.geometry import FloatArray
 
 NEGLIGIBLE = 1e-10  # eigenvalue of C^T C, columns of unit size, that is rounding
 NEARLY_ONE = 0.99  # p-values above do not outweigh small ones in their combination
+SETTLED = 1e-8  # step, in standard deviations, after which a saddlepoint is exact
+STEPS = 200  # that halve an interval to rounding in any case
 AT_MEAN = 1e-4  # |t| sqrt(K'') below which the saddlepoint is taken at the mean
 
 
@@ -35,7 +38,6 @@ def upper_tail(weights: FloatArray, multiplicity: FloatArray) -> float:
     >>> round(upper_tail(np.array([1 / 3, -f / 10]), np.array([3.0, 10.0])), 3)
     0.05
     """
-    from scipy.optimize import brentq
     from scipy.special import ndtr
 
     size = float(np.max(np.abs(weights), initial=0.0))
@@ -46,13 +48,10 @@ def upper_tail(weights: FloatArray, multiplicity: FloatArray) -> float:
         return 1.0 if w.max() > 0 else 0.0
     low, high = 0.5 / w.min(), 0.5 / w.max()
 
-    def slope(t: float) -> float:
-        return float(np.sum(multiplicity * w / (1 - 2 * t * w)))
-
     edge = 1 - 1e-12
-    if slope(high * edge) < 0 or slope(low * edge) > 0:  # one sign by rounding
-        return 0.0 if slope(high * edge) < 0 else 1.0
-    t = brentq(slope, low * edge, high * edge, xtol=1e-14, rtol=1e-13)
+    t = _saddlepoint(w, multiplicity, low * edge, high * edge)
+    if t in (low * edge, high * edge):  # the slope has one sign by rounding
+        return 0.0 if t > 0 else 1.0
     k = -0.5 * float(np.sum(multiplicity * np.log1p(-2 * t * w)))
     k2 = 2 * float(np.sum(multiplicity * (w / (1 - 2 * t * w)) ** 2))
     if abs(t) * np.sqrt(k2) < AT_MEAN:
@@ -60,6 +59,37 @@ def upper_tail(weights: FloatArray, multiplicity: FloatArray) -> float:
         return float(np.clip(0.5 - k3 / (6 * np.sqrt(2 * np.pi) * k2**1.5), 0, 1))
     r, u = np.sign(t) * np.sqrt(max(-2 * k, 0.0)), t * np.sqrt(k2)
     return float(np.clip(ndtr(-(r + np.log(u / r) / r)), 0.0, 1.0))
+
+
+def _saddlepoint(w: FloatArray, multiplicity: FloatArray, low: float, high: float) -> float:
+    """Where sum multiplicity w / (1 - 2 t w), which grows with t, is 0; else the end next to it.
+
+    Newton's steps, and halves of the interval where these leave it.
+    """
+    weighted = multiplicity * w
+
+    def slope(t: float) -> tuple[float, float]:
+        ratio = 1 / (1 - 2 * t * w)
+        part = weighted * ratio
+        return float(part.sum()), 2 * float(part @ (w * ratio))
+
+    if slope(high)[0] < 0:
+        return high
+    if slope(low)[0] > 0:
+        return low
+    t = 0.0
+    for _ in range(STEPS):
+        value, growth = slope(t)
+        low, high = (t, high) if value < 0 else (low, t)
+        step = -value / growth
+        if not low < t + step < high:
+            t = (low + high) / 2
+            continue
+        t += step
+        # The next step would be about the square of this one, in units of the deviation of t.
+        if abs(step) * math.sqrt(growth) <= SETTLED:
+            break
+    return t
 
 
 def component_test(gram: FloatArray, score: float, square: float, dof: int) -> float | None:

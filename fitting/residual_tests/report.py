@@ -222,14 +222,14 @@ def examine(minimum: Minimum, base: Base | None = None) -> ResidualReport:
         factor = float(np.sqrt(chi2 / max(dof, 1.0)))
     misfit = misfit_test_of(base)
     tests: list[Test] = []
-    groupings = groupings_of(problem) if left is not None else {}
+    groupings = groupings_of(problem, base.vectors) if left is not None else {}
     for name, grouping in groupings.items():
         assert left is not None
         compared = group_test(left, name, grouping)
         if compared is not None:
             tests.append(compared)
     if left is not None:
-        neighbours = neighbour_test(problem, left)
+        neighbours = neighbour_test(base, left)
         if neighbours is not None:
             tests.append(neighbours)
     structured = misfit is not None and misfit.structured

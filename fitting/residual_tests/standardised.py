@@ -64,8 +64,10 @@ class Standardised:
         """Degrees of freedom of |z|^2."""
         return int(self.z.size - self.q.shape[1])
 
-    def component_test(self, columns: Columns, where: slice) -> float | None:
-        """p-value of no error of the model with the covariance C C^T.
+    def component_tests(self, columns: Columns, where: slice) -> dict[str, float]:
+        """By kind the p-value of no error of the model with the covariance C C^T.
+
+        Kinds that the samples cannot tell from the parameters are left out.
 
         Parameters
         ----------
@@ -75,23 +77,24 @@ class Standardised:
         where : slice
             Those samples.
         """
-        gram = columns.gram()
-        size2 = max(float(np.max(np.diag(gram))), 1e-300)
-        by_fit = columns.on(self._colored_q[where])
-        gram -= by_fit @ by_fit.T
-        if self.shared.shape[1]:
-            by_shared = self.shared[where].T @ columns.full
-            gram -= by_shared.T @ self.inner @ by_shared
-        score = float(np.sum(columns.on(self._colored_z[where][:, None]) ** 2))
-        return component_test(gram / size2, score / size2, float(self.z @ self.z), self.dof)
+        found = {}
+        for kind, (gram, on_vectors) in columns.sums(self._colored[where]).items():
+            by_fit, by_residuals = on_vectors[:, :-1], on_vectors[:, -1]
+            size2 = max(float(np.max(np.diag(gram))), 1e-300)
+            gram = gram - by_fit @ by_fit.T
+            if self.shared.shape[1]:
+                by_shared = self.shared[where].T @ columns.full(kind)
+                gram -= by_shared.T @ self.inner @ by_shared
+            score = float(by_residuals @ by_residuals)
+            p = component_test(gram / size2, score / size2, float(self.z @ self.z), self.dof)
+            if p is not None:
+                found[kind] = p
+        return found
 
     @cached_property
-    def _colored_z(self) -> FloatArray:
-        return decorrelated(self.shared, self.z[:, None])[:, 0]
-
-    @cached_property
-    def _colored_q(self) -> FloatArray:
-        return decorrelated(self.shared, self.q)
+    def _colored(self) -> FloatArray:
+        """Q and z as they meet columns that are in units of the independent noise, (N, R + 1)."""
+        return decorrelated(self.shared, np.column_stack([self.q, self.z]))
 
 
 def standardise(base: Base, *, shared: bool = True) -> Standardised | None:

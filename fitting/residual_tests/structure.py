@@ -6,17 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.groups import (
     LEAST,
     Grouping,
 )
 from gonio.fitting.residual_tests.whitened import (
+    Base,
     Whitened,
+    evenly,
 )
 from gonio.geometry import FloatArray
 
-NEIGHBOURS = 4000  # samples that are compared with their neighbour
+NEIGHBOURS = 2000  # samples that are compared with their neighbour,
+AMONG = 8000  # which is looked for among so many
 
 
 @dataclass(frozen=True)
@@ -50,21 +52,26 @@ NEIGHBOURING = "neighbouring samples"
 
 
 def _sums(left: Whitened, grouping: Grouping) -> tuple[FloatArray, FloatArray]:
-    """Sums of z over the groups and their covariance under unit noise."""
+    """Sums of z over the groups, (K,), and of what the fit can follow, X (K, R).
+
+    Both are over the root of the number of samples: the covariance of the first is 1 - X X^T.
+    """
     from scipy.sparse import csr_array
 
-    inside = np.flatnonzero(grouping.group >= 0)
-    group, k = grouping.group[inside], len(grouping.words)
-    counts = np.bincount(group, minlength=k)
-    t = np.bincount(group, weights=left.z[inside], minlength=k)
-    if left.dense is None:
-        b = csr_array((np.ones(len(inside)), (inside, group)), (len(left.z), k))
-        cross = np.asarray((b.T @ left.columns).toarray())
+    number, k = grouping.group + 1, len(grouping.words)  # 0 for samples of no group
+
+    def total(weights: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(number, weights=weights, minlength=k + 1)[1:])
+
+    scale = np.sqrt(np.maximum(np.bincount(number, minlength=k + 1)[1:], 1.0))
+    if isinstance(left.columns, np.ndarray):
+        cross = np.empty((k, left.columns.shape[1]))
+        for c, column in enumerate(left.columns.T):
+            cross[:, c] = total(column)
     else:
-        cross = np.zeros((k, left.dense.shape[1]))
-        for c in range(left.dense.shape[1]):
-            cross[:, c] = np.bincount(group, weights=left.dense[inside, c], minlength=k)
-    return np.asarray(t, float), np.diag(counts) - cross @ left.inverse @ cross.T
+        groups = csr_array((np.ones(len(number)), (np.arange(len(number)), number)))
+        cross = np.asarray((groups.T @ left.columns).toarray())[1 : k + 1]
+    return total(left.z) / scale, cross @ left.root_inverse / scale[:, None]
 
 
 def group_test(left: Whitened, name: str, grouping: Grouping) -> Test | None:
@@ -73,16 +80,16 @@ def group_test(left: Whitened, name: str, grouping: Grouping) -> Test | None:
 
     if len(grouping.words) < 2:
         return None
-    t, covariance = _sums(left, grouping)
-    scale = np.sqrt(np.maximum(np.bincount(grouping.group[grouping.group >= 0]), 1.0))
-    t, covariance = t / scale, covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(covariance)
-    good = values > 1e-6
-    rank = int(np.count_nonzero(good))
+    t, followed = _sums(left, grouping)
+    vectors, s, _ = np.linalg.svd(followed, full_matrices=False)
+    kept = 1 - s**2  # eigenvalues of the covariance that are not 1
+    good = kept > 1e-6
+    rank = len(t) - int(np.count_nonzero(~good))
     rest = left.dof - rank
     if rank == 0 or rest < LEAST:
         return None
-    between = float(np.sum((vectors[:, good].T @ t) ** 2 / values[good]))
+    along = (vectors.T @ t) ** 2
+    between = float(t @ t - np.sum(along) + np.sum(along[good] / kept[good]))
     total = float(left.z @ left.z)
     within = max(total - between, 1e-300 + 1e-12 * total) / rest
     statistic = between / rank / within
@@ -90,7 +97,7 @@ def group_test(left: Whitened, name: str, grouping: Grouping) -> Test | None:
     return Test(name, statistic, rank, float(fdtrc(rank, rest, statistic)), share)
 
 
-def neighbour_test(problem: Problem, left: Whitened) -> Test | None:
+def neighbour_test(base: Base, left: Whitened) -> Test | None:
     """Whether neighbouring samples err alike: products of neighbours, self-normalised.
 
     Each product has expectation 0 and no correlation with the others where errors are independent
@@ -99,20 +106,21 @@ def neighbour_test(problem: Problem, left: Whitened) -> Test | None:
     from scipy.spatial import cKDTree
     from scipy.special import ndtr
 
-    d = problem.samples.directions
-    w_i, w_r = d.vectors()
+    some = evenly(base.problem.n, AMONG)
+    z = left.z[some]
     # Another incidence is no neighbour unless it is as near as the viewing directions are.
-    point = np.column_stack([np.broadcast_to(w, (problem.n, 3)) for w in (w_i, w_r)])
-    some = np.unique(np.linspace(0, problem.n - 1, min(problem.n, NEIGHBOURS)).astype(np.int64))
+    point = np.column_stack([w[some] for w in base.vectors])
+    n = len(point)
+    some = evenly(n, NEIGHBOURS)
     _, near = cKDTree(point).query(point[some], k=2)
     other = np.where(near[:, 0] == some, near[:, 1], near[:, 0])
     low, high = np.minimum(some, other), np.maximum(some, other)
-    pairs = np.column_stack(np.divmod(np.unique(low * problem.n + high), problem.n))
-    products = left.z[pairs[:, 0]] * left.z[pairs[:, 1]]
+    pairs = np.column_stack(np.divmod(np.unique(low * n + high), n))
+    products = z[pairs[:, 0]] * z[pairs[:, 1]]
     size = float(np.sqrt(np.sum(products**2)))
     if len(products) < 3 * LEAST or size == 0:
         return None
     statistic = float(np.sum(products)) / size
-    share = float(2 * np.sum(products) / np.sum(left.z[pairs] ** 2))
+    share = float(2 * np.sum(products) / np.sum(z[pairs] ** 2))
     p_value = float(ndtr(-statistic))
     return Test(NEIGHBOURING, statistic, len(products), p_value, float(np.clip(share, 0.0, 1.0)))

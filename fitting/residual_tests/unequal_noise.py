@@ -6,6 +6,8 @@ import numpy as np
 
 from gonio.geometry import FloatArray
 
+RANK = 1e-12  # of the largest eigenvalue, below which one is rounding
+
 
 def unequal_noise(z: FloatArray, level: FloatArray) -> float:
     """Chance of squared residuals that follow the model's value so clearly, were the noise alike.
@@ -36,16 +38,20 @@ def unequal_noise(z: FloatArray, level: FloatArray) -> float:
     >>> unequal_noise(level * rng.standard_normal(500), level) < 1e-6
     True
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
-    x = level / max(float(np.max(np.abs(level), initial=0.0)), 1e-300)
-    design = np.column_stack([np.ones(len(x)), x, x**2])
+    # Coordinates about the middle: their squares are far from following the level itself.
+    reach = float(np.ptp(level)) if len(level) else 0.0
+    x = (level - float(np.mean(level))) / max(reach, 1e-300)
+    design = np.stack([np.ones(len(x)), x, x**2])
     size = max(float(np.max(np.abs(z), initial=0.0)), 1e-300)
     square = (z / size) ** 2
     square = square - np.mean(square)
     total = float(square @ square)
     if total == 0:
         return 1.0
-    coefficients, _, rank, _ = np.linalg.lstsq(design, square, rcond=None)
-    fitted = design @ coefficients
-    return float(chi2.sf(len(z) * float(fitted @ fitted) / total, max(int(rank) - 1, 1)))
+    products, on_square = design @ design.T, design @ square
+    values, vectors = np.linalg.eigh(products)
+    good = values > RANK * values[-1]
+    explained = float(np.sum((vectors[:, good].T @ on_square) ** 2 / values[good]))
+    return float(chdtrc(max(int(np.count_nonzero(good)) - 1, 1), len(z) * explained / total))

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
@@ -61,7 +62,7 @@ class Base:
         n = self.problem.n
         if n <= most:
             return self
-        index = np.unique(np.linspace(0, n - 1, most).astype(np.int64))
+        index = evenly(n, most)
         return replace(
             self,
             problem=self.problem.at(index),
@@ -75,6 +76,12 @@ class Base:
         """What tests of these residuals found, so that each is made once."""
         return {}
 
+    @cached_property
+    def vectors(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors towards the light and towards the viewer, each (N, 3)."""
+        w_i, w_r = self.problem.samples.directions.vectors()
+        return np.broadcast_to(w_i, (self.problem.n, 3)), np.broadcast_to(w_r, (self.problem.n, 3))
+
     @property
     def residual(self) -> FloatArray:
         """Measured less fitted values, (N,)."""
@@ -86,19 +93,16 @@ class Whitened:
     """Whitened residuals with what parameters and shared errors could do projected out."""
 
     z: FloatArray  # (N,)
-    columns: Any  # whitened, sparse (N, C)
-    inverse: FloatArray  # pseudo-inverse of columns^T columns
+    columns: Any  # whitened, (N, C); sparse where they are many
+    root_inverse: FloatArray  # (C, R), root of the pseudo-inverse of columns^T columns
     dof: int
     root: FloatArray  # square root of the weights (N,)
     f: FloatArray
     residual: FloatArray
-    stated: float  # mean square of z that the shared errors may make
 
     @classmethod
     def of(cls, base: Base) -> Whitened | None:
         """None where too few samples are left to say anything."""
-        from scipy.sparse import csr_array, diags_array, hstack
-
         problem = base.problem
         # In units of the largest value: squares of what is left neither overflow nor vanish.
         unit = float(np.max(np.abs(problem.samples.value))) or 1.0
@@ -108,25 +112,14 @@ class Whitened:
         root = np.sqrt(problem.inverse_variance) * unit
         if problem.weights not in ("sd", "relative"):
             root = scatter_weights(f, residual)
-        parts = hstack([csr_array(base.jacobian), base.shared]) / unit
-        columns = csr_array(diags_array(root) @ csr_array(parts))
-        own = columns[:, base.jacobian.shape[1] :]
-        stated = float(own.multiply(own).sum()) / problem.n
-        size = np.sqrt(np.maximum(np.asarray(columns.multiply(columns).sum(axis=0)), 1e-300))
-        columns = csr_array(columns @ diags_array(1 / size.ravel()))
-        square = np.asarray((columns.T @ columns).toarray())
-        inverse, rank = pseudo_inverse(square)
+        columns = _columns(base, root / unit)
+        root_inverse = pseudo_root(np.asarray(_full(columns.T @ columns)))
         z = root * residual
-        z = z - columns @ (inverse @ (columns.T @ z))
-        dof = problem.n - rank
+        z = z - columns @ (root_inverse @ (root_inverse.T @ (columns.T @ z)))
+        dof = problem.n - root_inverse.shape[1]
         if dof < 3 * LEAST or not np.max(np.abs(z)) > ROUNDING * np.max(root):
             return None
-        return cls(z, columns, inverse, dof, root, f, residual, stated)
-
-    @cached_property
-    def dense(self) -> FloatArray | None:
-        """The columns as a full array where they are few, else None."""
-        return self.columns.toarray() if self.columns.shape[1] <= FEW else None
+        return cls(z, columns, root_inverse, dof, root, f, residual)
 
     @property
     def mean(self) -> float:
@@ -137,6 +130,11 @@ class Whitened:
     def variance(self) -> float:
         """Mean square of the residuals in the unit of f."""
         return float(np.mean(self.residual**2))
+
+
+def evenly(n: int, most: int) -> NDArray[np.int64]:
+    """Numbers of at most so many of n samples, evenly chosen."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
 
 
 def scatter_weights(f: FloatArray, residual: FloatArray) -> FloatArray:
@@ -158,9 +156,29 @@ def scatter_weights(f: FloatArray, residual: FloatArray) -> FloatArray:
     return np.asarray(1 / np.sqrt(np.maximum(variance, 1e-3 * np.mean(variance) + 1e-300)))
 
 
-def pseudo_inverse(square: FloatArray) -> tuple[FloatArray, int]:
+def pseudo_root(square: FloatArray) -> FloatArray:
+    """Root (C, R) of the pseudo-inverse of a matrix (C, C) of rank R."""
     if len(square) == 0:
-        return square, 0
+        return square
     values, vectors = np.linalg.eigh(square)
     good = values > 1e-10 * max(float(values[-1]), 1e-300)
-    return (vectors[:, good] / values[good]) @ vectors[:, good].T, int(np.count_nonzero(good))
+    return np.asarray(vectors[:, good] / np.sqrt(values[good]))
+
+
+def _columns(base: Base, root: FloatArray) -> Any:
+    """Columns of parameters and shared errors times the root of the weights, of unit length."""
+    if base.jacobian.shape[1] + base.shared.shape[1] <= FEW:
+        rows = root * np.concatenate([base.jacobian.T, base.shared.toarray().T])
+        size = np.sqrt(np.maximum(np.einsum("cn,cn->c", rows, rows), 1e-300))
+        return (rows / size[:, None]).T
+    from scipy.sparse import csr_array, diags_array, hstack
+
+    parts = csr_array(hstack([csr_array(base.jacobian), base.shared]))
+    columns = csr_array(diags_array(root) @ parts)
+    size = np.sqrt(np.maximum(np.asarray(columns.multiply(columns).sum(axis=0)), 1e-300))
+    return csr_array(columns @ diags_array(1 / size.ravel()))
+
+
+def _full(matrix: Any) -> Any:
+    """A matrix that may be sparse as a full array."""
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()

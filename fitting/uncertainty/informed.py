@@ -50,11 +50,12 @@ class Informed:
         n_p = len(optimum.p)
         f, jacobian = problem.jacobian(optimum.p)
         root = np.sqrt(problem.inverse_variance)
-        columns = root[:, None] * jacobian
+        z = root * (problem.samples.value - f)
+        # One row for each parameter: sums over samples run along the memory.
+        rows = jacobian.T
         if problem.profiled:
-            u = root[:, None] * problem.profiled_columns()
-            columns = np.column_stack([columns, u])
-            h = columns.T @ columns
+            rows = np.concatenate([rows, problem.profiled_columns().T])
+            h = root * rows @ (root * rows).T
             prior = np.arange(n_p, len(h))
             h[prior, prior] += minimum.noise_scale**2
             among = np.concatenate([optimum.free, np.ones(len(prior), np.bool_)])
@@ -62,11 +63,12 @@ class Informed:
             h, among = optimum.curvature, optimum.free
         determined, back = marginal_root(h, among, optimum.limited)
         determined[list(optimum.limited)] = False
-        z, q = root * (problem.samples.value - f), columns @ back
+        rows = back.T @ rows
+        rows *= root
         if not problem.profiled:
             # Nothing at a minimum. About a value that is held, it is what would move it.
-            z -= q @ (q.T @ z)
-        return cls(determined[:n_p], z, q, back[:n_p])
+            z -= (rows @ z) @ rows
+        return cls(determined[:n_p], z, rows.T, back[:n_p])
 
     @property
     def back(self) -> FloatArray:
@@ -76,12 +78,12 @@ class Informed:
     @cached_property
     def leverage(self) -> FloatArray:
         """Share of its own fitted value that each sample decides, (N,)."""
-        return np.asarray(np.sum(self.q**2, axis=1))
+        return np.asarray(np.einsum("nr,nr->n", self.q, self.q))
 
     @cached_property
     def gain(self) -> FloatArray:
         """Change of the parameters for a change of each standardised value, (N, P)."""
-        return np.asarray(self.q @ self.back.T)
+        return np.asarray((self.back @ self.q.T).T)
 
     def of_noise(self, where: NDArray[np.bool_] | None = None) -> FloatArray:
         """Covariance (P, P) that unit noise of these samples, of all by default, gives."""

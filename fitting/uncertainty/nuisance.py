@@ -27,6 +27,8 @@ def pull_warnings(estimates: Sequence[NuisanceEstimate]) -> list[str]:
     The pull of a draw is its estimate over sqrt(1 - sd^2), the spread that an honest prior gives
     the estimate. Of many draws the largest is allowed to be larger.
     """
+    if not estimates:
+        return []
     from scipy.stats import norm
 
     pulls = {

@@ -16,6 +16,7 @@ from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.second_derivatives import Block
 from gonio.geometry import FloatArray
 
+NEGLIGIBLE = 1e-4  # of tr A^2: what shares of single samples in their own values add to it
 LEVERAGE = 1e-4  # least 1 - h that a residual is divided by
 FLOOR = 0.25  # least curvature after a sample is left out, in units of J^T W J
 
@@ -70,15 +71,21 @@ def effective_samples(informed: Informed, where: NDArray[np.bool_] | None = None
     gain of sample i over 1 - h_i and H = q q^T. With b = a^2 its traces are tr A = sum b (1 - h)
     and tr A^2 = sum b^2 (1 - 2 h) + |q^T diag(b) q|^2.
     """
-    h, q = informed.leverage, informed.q
-    b = (informed.gain / np.maximum(1 - h, LEVERAGE)[:, None]) ** 2
+    h, gain = informed.leverage, informed.gain.T
+    inverse = 1 / np.maximum(1 - h, LEVERAGE) ** 2
     if where is not None:
-        b = b * where[:, None]
-    size = np.maximum(b.max(axis=0, initial=0.0), 1e-300)
-    b = b / size
-    square = (b**2).T @ (1 - 2 * h)
-    square += np.array([np.sum((q.T @ (column[:, None] * q)) ** 2) for column in b.T])
-    return of_quadratic_form(b.T @ (1 - h), square)
+        inverse *= where
+    trace, square = np.zeros(len(gain)), np.zeros(len(gain))
+    for j, row in enumerate(gain):
+        b = row**2
+        b *= inverse
+        b /= max(float(b.max(initial=0.0)), 1e-300)
+        shared = float(b @ h)  # its square is at least |q^T diag(b) q|^2
+        trace[j] = b.sum() - shared
+        square[j] = b @ b - 2 * np.einsum("n,n,n->", b, b, h)
+        if shared**2 > NEGLIGIBLE * square[j]:
+            square[j] += np.sum((informed.q.T * b @ informed.q) ** 2)
+    return of_quadratic_form(trace, square)
 
 
 def _linear(informed: Informed, where: NDArray[np.bool_]) -> FloatArray:

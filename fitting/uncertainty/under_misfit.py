@@ -62,9 +62,10 @@ def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> 
     problem = minimum.problem
     if test is None or not errors.determined.any():
         return errors
-    group = incidence_groups(problem)
-    if test.p < alarm(int(group.max()) + 1):
-        return _of_misfit(minimum, errors, test, group)
+    if test.structured:
+        group = incidence_groups(problem)
+        if test.p < alarm(int(group.max()) + 1):
+            return _of_misfit(minimum, errors, test, group)
     if problem.weights == "sd" or problem.profiled or not problem.quadratic:
         return errors
     informed = Informed.of(minimum)

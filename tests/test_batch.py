@@ -288,13 +288,13 @@ def test_constraints_hold_for_a_model_of_arrays(seen):
 
 
 def test_a_texel_without_data_has_no_fixed_value(seen):
-    values, u = stack("ward", ROUND, seen)
-    values[1, 2:] = np.nan  # as many samples as unknowns
-    held = {"rho_d": 0.2, "alpha_y": 0.1}
+    held = CONSTRAINTS[-1]["fixed"]  # compiled already
+    values, u = stack("ward", [p | held for p in ROUND], seen)
+    values[1, 1:] = np.nan  # as many samples as unknowns
     found = fit_texels(seen, values, "ward", u=u, fixed=held)
     assert [STATUS[s] for s in found.status] == ["converged", "no_data"]
     assert np.isnan(found.parameters[1]).all()
-    assert found.parameters[0, [0, 3]].tolist() == [0.2, 0.1]
+    assert found.parameters[0, [0, 2, 3]].tolist() == list(held.values())
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -177,10 +178,21 @@ def _line(error: BaseException) -> str:
     return f" (line {last.lineno} of {last.filename})"
 
 
+class _WithVectors(Directions):
+    """Directions that keep their unit vectors: each derivative asks for the same ones again."""
+
+    @cached_property
+    def _vectors(self) -> tuple[FloatArray, FloatArray]:
+        return super().vectors()
+
+    def vectors(self) -> tuple[FloatArray, FloatArray]:
+        return self._vectors
+
+
 def _directions(w_i: FloatArray, w_r: FloatArray) -> Directions:
     """Pairs of unit vectors as the angles that the function takes."""
     (theta_i, phi_i), (theta_r, phi_r) = angles(w_i), angles(w_r)
-    return Directions(theta_i, phi_i, theta_r, phi_r)
+    return _WithVectors(theta_i, phi_i, theta_r, phi_r)
 
 
 def declared(function: Callable[..., Any], given: Given) -> tuple[Parameter, ...]:

@@ -72,6 +72,9 @@ class Session:
                     "give another folder or delete it.",
                     value=path,
                 )
+            # zarr renames a file when it is written: what a kill left half written goes.
+            for unfinished in path.rglob("*.partial"):
+                unfinished.unlink(missing_ok=True)
             return session
         if path.exists() and not _can_become_session(path):
             raise ConfigurationError(

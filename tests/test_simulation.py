@@ -118,6 +118,18 @@ class TestInterruption:
             run(tmp_path / "s", progress=stop)
         self.check_resumed(tmp_path / "s", reference)
 
+    def test_a_file_that_a_kill_left_half_written_is_removed(self, reference, tmp_path):
+        def stop(done, total):
+            if done >= 7:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path / "s", progress=stop)
+        folder = next((tmp_path / "s/frames.zarr").rglob("c"))
+        (folder / "0.450f3da071e1486e8dc0458ba755bf1a.partial").touch()
+        assert run(tmp_path / "s").complete
+        assert content(tmp_path / "s") == content(reference)
+
     def test_kill_9_in_the_middle(self, reference, tmp_path):
         recipe = {"rig": small().model_dump(mode="json"), "plan": PLAN.model_dump(mode="json")}
         (tmp_path / "recipe.json").write_text(json.dumps(recipe))

@@ -104,6 +104,12 @@ def put(tmp_path: Path):
 # ---------------------------------------------------------------- silence
 
 
+def dark_scan() -> tuple[Directions, np.ndarray]:
+    """Sixty readings of a dark gloss in its plane."""
+    d = plane((20.0, 50.0), 150 / 29)
+    return d, values(d, rho_d=0.006, rho_s=0.05, alpha_x=0.2, alpha_y=0.2)
+
+
 MATERIALS = {
     "white": ("lambert", {"rho": 0.98}),
     "dark": ("lambert", {"rho": 0.03}),
@@ -215,6 +221,16 @@ def test_an_azimuth_from_the_forward_side_is_named():
     right = glossy()
     text = only(turned(right, phi_r=right.directions.phi_r + np.pi), "azimuth_zero", "warning")
     assert "the azimuth is counted from the forward side. Add 180 deg to phi_r." in text
+
+
+@pytest.mark.parametrize("turns", [(0.0,), (0.0, 45.0, 90.0)])
+def test_a_narrow_lobe_on_the_wrong_side_of_a_hemisphere_is_warned_of(turns):
+    """Its samples are too few to tell its shape; a retroreflector is named as well."""
+    d = hemisphere(turns=turns)
+    right = noisy(d, values(d, **{**GLOSSY, "alpha_x": 0.08, "alpha_y": 0.08}))
+    text = only(turned(right, phi_r=d.phi_r + np.pi), "azimuth_zero_possible", "warning")
+    assert "A retroreflecting surface does so" in text
+    assert "add 180 deg to phi_r" in text
 
 
 def test_in_one_plane_the_azimuth_may_be_that_of_a_retroreflector():
@@ -431,6 +447,29 @@ def test_a_floor_is_named():
     assert "upper limits" in only(cut, "floor", "warning")
 
 
+def test_a_floor_need_not_be_a_round_number():
+    right = noisy(*dark_scan(), 0.1)
+    cut = replace(right, value=np.maximum(right.value, np.sort(right.value)[7]))
+    text = only(cut, "floor", "warning")
+    assert "8 of 60 values are exactly" in text
+    assert "upper limits" in text
+
+
+def test_a_coarse_resolution_is_no_floor():
+    d, f = dark_scan()
+    right = noisy(d, f, 0.1)
+    step = 0.00217
+    coarse = replace(right, value=step * np.maximum(np.rint(right.value / step), 1))
+    found = [f.text for f in plausible(coarse).findings if f.code == "floor"]
+    assert all("all values are multiples of 0.00217 sr^-1: the resolution" in t for t in found)
+
+
+def test_a_formula_without_noise_repeats_its_diffuse_level_in_silence():
+    d = hemisphere()
+    f = values(d, rho_d=0.0067, rho_s=0.2, alpha_x=0.1, alpha_y=0.1)
+    assert "floor" not in codes(BRDFSamples(d, np.array([float(f"{v:.6g}") for v in f])))
+
+
 def test_a_saturated_detector_is_named():
     right = glossy()
     cut = replace(right, value=np.minimum(right.value, np.quantile(right.value, 0.95)))
@@ -466,6 +505,17 @@ def test_a_spike_is_named_and_a_lobe_is_not():
     text = only(replace(right, value=value), "spikes", "warning")
     assert text.startswith(f"2 of {len(value)} values are 5")
     assert "stray light or a reading error" in text
+
+
+def test_a_reading_far_above_all_around_it_is_named_out_of_the_plane():
+    d = hemisphere()
+    right = noisy(d, values(d, **BRUSHED))
+    value = right.value.copy()
+    k = int(np.argmin(np.abs(d.theta_i - 0.5) + np.abs(d.theta_r - 0.87) + np.abs(d.phi_r - 1.57)))
+    value[k] *= 12
+    text = only(replace(right, value=value), "isolated", "warning")
+    assert text.startswith(f"1 of {len(value)} values is 1")
+    assert "phi_r 90" in text
 
 
 def test_repeats_are_silent_and_pooled_wavelengths_are_not():

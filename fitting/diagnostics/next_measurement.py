@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gonio.fitting.minimum.curvature import TAKES_PART, axes, marginal_inverse
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.uncertainty.established import ENOUGH
 from gonio.geometry import Directions, FloatArray, angles, unit_vectors
 from gonio.kernels.boxed import UNDETERMINED
 
@@ -28,7 +29,6 @@ NARROW = {"mirror 1": "within 1 deg of the mirror direction"}  # where few sampl
 _WORDS = PATTERNS | NARROW
 N = 72  # directions of each
 STEEPEST = np.radians(80.0)  # largest theta_r
-ENOUGH = 10.0  # effective samples that carry what is established
 DISCOUNT = 1e-3  # of the information of samples that carry a parameter alone
 AS_GOOD = 0.4  # of ln u: a measurement that is earlier in the lists is preferred by as much
 _MISSING = 100.0  # what a parameter without information adds to a merit

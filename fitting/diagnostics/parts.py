@@ -99,9 +99,17 @@ def _refusal(
     if not test.refused or test.p_value is None:
         return []
     chance = f"p = {test.p_value:.2g}" if test.p_value > TINY else f"p < {TINY:g}"
+    why = (
+        f"chi2 grows by {test.growth:.4g} over separate fits, of which noise explains about "
+        f"{test.dof}"
+    )
+    if test.distance is not None:
+        why = (
+            f"separate estimates differ by up to {test.distance:.2g} standard uncertainties, which "
+            "allow for misfit"
+        )
     return [
-        f"the data reject one {' and one '.join(test.parameters)} for all parts: chi2 grows by "
-        f"{test.growth:.4g} over separate fits, of which noise explains about {test.dof} "
+        f"the data reject one {' and one '.join(test.parameters)} for all parts: {why} "
         f"({chance}). {_farthest(problem, optimum, parts)}"
     ]
 
@@ -113,7 +121,7 @@ def _correlation_warning(problem: JointProblem, optimum: Optimum) -> list[str]:
     return [
         f"the residuals of the parts are correlated (correlation {mean_correlation(r):.2g} at the "
         "same directions): the model has the same error in all of them. The standard uncertainties "
-        "allow for it; the test of the sharing, limits at bounds and a posterior do not."
+        "and the test of the sharing allow for it; limits at bounds and a posterior do not."
     ]
 
 

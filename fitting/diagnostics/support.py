@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.fitting.diagnostics.angle_sensitivity import moved_by_angles
-from gonio.fitting.diagnostics.next_measurement import ENOUGH, suggest_measurement
+from gonio.fitting.diagnostics.next_measurement import suggest_measurement
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.result import Estimate
+from gonio.fitting.uncertainty.established import ENOUGH, LEVERAGE, carriers
 from gonio.fitting.uncertainty.informed import Informed
-from gonio.fitting.uncertainty.sample_jackknife import effective_samples
 from gonio.geometry import FloatArray
 
-LEVERAGE = 0.5  # mean share that its samples have in their own fitted values, above which neither
 ANGLE_DEG = 0.1  # error of the angles that is looked at where nobody states one
 MATTERS = 0.01  # change by it, relative to the value, below which it decides nothing
 NAMED = 3  # samples that are named
@@ -68,7 +67,8 @@ def supports(minimum: Minimum, estimates: Mapping[str, Estimate]) -> dict[str, S
     if not wanted or len(problem.parameters) > MOST:
         return {}
     informed = Informed.of(minimum)
-    gain, number = informed.gain, effective_samples(informed)
+    gain = informed.gain
+    number, leverage = carriers(informed)
     angles: FloatArray | None = None
     if not any(term.moves_directions for term in problem.samples.shared):
         angles = moved_by_angles(minimum, gain, float(np.radians(ANGLE_DEG)))
@@ -77,16 +77,15 @@ def supports(minimum: Minimum, estimates: Mapping[str, Estimate]) -> dict[str, S
         q = problem.parameters[j]
         weight = gain[:, j] ** 2
         weight = weight / max(float(weight.sum()), 1e-300)
-        leverage = float(weight @ informed.leverage)
         first = _largest(weight)
         moved = None if angles is None else float(angles[j])
         found[q.name] = Support(
             effective_samples=float(number[j]) if np.isfinite(number[j]) else 0.0,
-            leverage=leverage,
+            leverage=float(leverage[j]),
             moved_by_angles=None if moved is None else q.to_file(moved),
             samples=tuple(first),
             shares=tuple(float(weight[k]) for k in first),
-            reasons=tuple(_reasons(estimates[q.name], float(number[j]), leverage, moved)),
+            reasons=tuple(_reasons(estimates[q.name], float(number[j]), float(leverage[j]), moved)),
         )
     return found
 

@@ -110,6 +110,11 @@ def component_test(gram: FloatArray, score: float, square: float, dof: int) -> f
         Degrees of freedom of |z|^2.
     """
     values = np.asarray(np.linalg.eigvalsh(gram), dtype=np.float64)
+    return ratio_test(values, score, square, dof)
+
+
+def ratio_test(values: FloatArray, score: float, square: float, dof: int) -> float | None:
+    """`component_test` where the eigenvalues of the matrix are at hand."""
     values = values[values > NEGLIGIBLE]
     rest = dof - len(values)
     if len(values) == 0 or square <= 0 or rest < 0:

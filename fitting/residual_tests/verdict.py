@@ -18,13 +18,19 @@ from gonio.fitting.residual_tests.misfit import MisfitTest, misfit_test_of
 from gonio.fitting.residual_tests.quadratic_forms import combined
 from gonio.fitting.residual_tests.report import ResidualReport, examine_parts
 from gonio.fitting.residual_tests.standardised import LEAST, standardise
+from gonio.fitting.residual_tests.unstructured import (
+    missing_floor,
+    samples_of_half,
+    sees_smooth_errors,
+)
 from gonio.fitting.residual_tests.usefulness import explained_share, worse_than_constant
 from gonio.fitting.residual_tests.whitened import Base
 from gonio.fitting.result.verdict import ALARM, HIDDEN, TOLERANCE, Class, Verdict, of_f, per_cent
 from gonio.wording import counted
 
-UNDERSTATED = 3.0  # factor by which noise may be stated too small before the model is blamed
+UNDERSTATED = 3.0  # factor by which noise may be stated too small where samples are sparse
 BLACK = "the fitted f is 0 at every sample, so that no error has a size in per cent of f"
+UNUSUAL = 0.3  # of f: noise that no instrument has where it measures
 STANDS_OUT = 4.0  # standard deviations by which a group does that the verdict names
 
 
@@ -120,6 +126,8 @@ def _verdict(found: _Finding, reports: Sequence[ResidualReport], tolerance: floa
         return verdict
     worst = max(groups, key=lambda g: abs(g.relative or 0.0))
     assert worst.relative is not None
+    if found.size is not None and abs(worst.relative) <= found.size:
+        return verdict  # an error that changes its sign within all groups
     side = "low" if worst.relative > 0 else "high"
     by = per_cent(abs(worst.relative))
     reason = f"{found.reason}, most (too {side} by {by}) {worst.text}"
@@ -132,20 +140,25 @@ def _with_use(
     """Whether a model that does not fit explains half of f, and predicts better than a constant."""
     if verdict.fits:
         return verdict
-    problem, p = minimum.problem, minimum.optimum.p
+    problem, f = minimum.problem, minimum.problem.values(minimum.optimum.p)
+    residual = problem.samples.value - f
     if known:
-        variance = problem.variance(problem.values(p))
+        variance = problem.variance(f)
         noise = float(np.sum(problem.inverse_variance * variance))
     elif verdict.kind == "undecided":
-        return verdict  # all that is left may be noise
+        if verdict.interval is None or verdict.interval[1] < UNUSUAL:
+            return verdict  # all that is left may be noise
+        noise = float(np.sum(problem.inverse_variance * residual**2))
     else:
-        residual = problem.samples.value - problem.values(p)
         noise = (1 - _share(reports)) * float(np.sum(problem.inverse_variance * residual**2))
     explained = explained_share(minimum, noise)
     if explained is None:
         return verdict
     worse = worse_than_constant(minimum)
-    verdict = replace(verdict, explained=explained, worse_than_lambert=worse)
+    may_be_noise = not known and verdict.kind == "undecided"
+    verdict = replace(
+        verdict, explained=None if may_be_noise else explained, worse_than_lambert=worse
+    )
     words = []
     if explained < 0.5:
         words.append(f"it explains {per_cent(max(explained, 0.0))} of the variance of f")
@@ -168,13 +181,13 @@ def _by_noise(
         misfit = misfit_test_of(base, shared=shared)
         p_structure = 1.0 if misfit is None else misfit.p
     p = combined([excess.p, p_structure])
-    kind, reason = _class_by_noise(excess, p, p_structure, tolerance)
+    kind, reason = _class_by_noise(excess, p, tolerance)
+    if kind == "does_not_fit":
+        kind, reason = _of_large_residuals(base, excess, p_structure)
     return _Finding(kind, p, excess.size, excess.interval, reason)
 
 
-def _class_by_noise(
-    excess: Excess, p: float, p_structure: float, tolerance: float
-) -> tuple[Class, str]:
+def _class_by_noise(excess: Excess, p: float, tolerance: float) -> tuple[Class, str]:
     size, upper = of_f(excess.size), of_f(excess.interval[1])
     if p >= ALARM:
         if excess.dof < LEAST:
@@ -193,18 +206,48 @@ def _class_by_noise(
             f"an error of the model is seen, of {size} or so, and it is not clear whether it "
             f"is above the tolerance of {limit}"
         )
-    ratio = np.sqrt(excess.chi2 / max(excess.dof, 1.0))
     if excess.p >= ALARM:
         return "undecided", (
             "the residuals follow each other but are no larger than the stated noise: correlated "
             f"errors, or an error of the model of {size} or so"
         )
-    if p_structure >= ALARM and ratio <= UNDERSTATED and excess.dof >= LEAST:
-        return "undecided", (
-            f"the residuals are {ratio:.2g} times the stated noise but have no structure: u_brdf "
-            f"is too small, directions are uncertain, or the model is off by {size}"
-        )
     return "does_not_fit", f"typically off by {size}"
+
+
+def _of_large_residuals(base: Base, excess: Excess, p_structure: float) -> tuple[Class, str]:
+    """The class where residuals are larger than the stated noise: an error of it, or the model's.
+
+    An error of the model is smooth. Where the tests would have seen one and see none, the stated
+    noise is too small, by whatever factor. Where samples are too sparse for that, the word of
+    whoever stated the noise counts, but for a factor that is common.
+    """
+    size = of_f(excess.size)
+    ratio = float(np.sqrt(excess.chi2 / max(excess.dof, 1.0)))
+    times = f"{ratio:.2g} times the stated noise"
+    floor = missing_floor(base, excess) if excess.dof >= LEAST else None
+    if floor is not None:
+        return "undecided", (
+            f"the residuals are {times}, and what they have beyond it is all in dark readings "
+            f"(f below {floor.below:.2g} sr^-1): u_brdf lacks a floor of about "
+            f"{floor.size:.1g} sr^-1"
+        )
+    if p_structure < ALARM or excess.dof < LEAST:
+        return "does_not_fit", f"typically off by {size}"
+    few = samples_of_half(excess)
+    if few is None and excess.size < UNUSUAL and sees_smooth_errors(base, excess):
+        return "undecided", (
+            f"the residuals are {times} but have no structure, and an error of the model of {size} "
+            "would have: u_brdf is too small, or directions are uncertain"
+        )
+    if ratio <= UNDERSTATED:
+        return "undecided", (
+            f"the residuals are {times} but have no structure: u_brdf is too small, directions are "
+            f"uncertain, or the model is off by {size}"
+        )
+    where = "samples are too sparse to show structure"
+    if few is not None:
+        where = f"{few} of {excess.z.size} samples make half of chi2"
+    return "does_not_fit", f"typically off by {size} if u_brdf is right; {where}"
 
 
 # ---------------------------------------------------------------- unknown noise
@@ -233,6 +276,8 @@ def _by_structure(base: Base, reports: Sequence[ResidualReport], tolerance: floa
             f"the noise is not stated: residuals of {whole} without structure may be noise "
             "or error of the model"
         )
+        if everything >= UNUSUAL:
+            reason += ", and noise of that size would be unusual"
         return _Finding("undecided", p, None, (0.0, everything), reason)
     size = float(np.sqrt(_share(reports))) * everything
     if size <= tolerance:

@@ -227,7 +227,15 @@ class Sharing:
         Chance of a growth as large where the parts do share; errors of the parts' own, such as a
         lamp that drifts, are allowed for. None where nothing can be tested.
     refused : bool
-        The chance is below 1 %.
+        The chance is below 1 %, and where the model does not hold `change` is above the tolerance
+        of the verdict, 1 %.
+    distance : float or None
+        Where the model does not hold and separate estimates decide in place of `growth`: the
+        clearest difference between a part and the others, in standard uncertainties.
+    distance_dof : float or None
+        Degrees of freedom of that uncertainty; None where it is known.
+    change : float or None
+        Typical change of f by the sharing, as a fraction of f, where separate estimates decide.
     """
 
     parameters: tuple[str, ...]
@@ -235,3 +243,6 @@ class Sharing:
     dof: int
     p_value: float | None
     refused: bool
+    distance: float | None = None
+    distance_dof: float | None = None
+    change: float | None = None

@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from gonio.fitting.result.estimates import Estimate
+from gonio.fitting.result.estimates import Estimate, Sharing
 from gonio.fitting.result.record import FitRecord
 from gonio.fitting.result.tables import parameter_row, table
+from gonio.fitting.result.verdict import ALARM, per_cent
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -130,16 +131,28 @@ def _chunks(columns: list[Cell], width: int) -> list[list[Cell]]:
     return tables
 
 
+def _small(test: Sharing) -> str:
+    """Why a clear difference is not refused."""
+    if test.refused or test.p_value is None or test.p_value >= ALARM or test.change is None:
+        return ""
+    return f", but sharing changes f by {per_cent(test.change)} only"
+
+
 def _verdict(record: FitRecord) -> str:
     """What the test of the sharing found."""
     test = record.sharing
     if test is None:
         return "nothing is shared: each part was fitted by itself"
     if test.p_value is None:
-        return "sharing: nothing to test, no shared parameter is determined in two parts"
-    chance = f"{test.p_value:.2g}" if test.p_value > 1e-15 else "< 1e-15"
+        return "sharing: nothing to test, no two parts establish a shared parameter"
+    chance = f"p = {test.p_value:.2g}" if test.p_value > 1e-15 else "p < 1e-15"
     outcome = "the data REJECT it" if test.refused else "the data allow it"
+    if test.distance is not None:
+        return (
+            f"sharing: {outcome}; separate estimates differ by at most {test.distance:.2g} "
+            f"standard uncertainties, misfit allowed for ({chance}){_small(test)}"
+        )
     return (
         f"sharing: {outcome}; chi2 grows by {test.growth:.4g} over separate fits, "
-        f"{test.dof} expected (p {chance if test.p_value <= 1e-15 else '= ' + chance})"
+        f"{test.dof} expected ({chance})"
     )

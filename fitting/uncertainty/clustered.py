@@ -44,7 +44,8 @@ def by_groups(
     Bell & McCaffrey 2002, Survey Methodology 28, 169. Pustejovsky & Tipton 2018, J. Bus. Econ.
     Stat. 36, 672.
     """
-    back, n_p = informed.back, len(informed.determined)
+    back = informed.back
+    n_p = len(back)
     some = np.arange(len(informed.z)) if where is None else np.flatnonzero(where)
     labels, number = np.unique(group[some], return_inverse=True)
     scores, own = np.zeros((len(labels), n_p)), np.zeros((len(labels), n_p))
@@ -62,7 +63,7 @@ def by_groups(
         own[g] = np.sum(weight * cross[g], axis=0)
         lone += np.sum((back @ vectors[:, ~shared]) ** 2, axis=1)
     trace, square = np.zeros(n_p), np.zeros(n_p)
-    for j in np.flatnonzero(informed.determined):
+    for j in np.flatnonzero(np.any(back != 0, axis=1)):
         matrix = np.diag(own[:, j]) - cross[:, :, j] @ cross[:, :, j].T
         size = max(float(np.max(np.abs(matrix), initial=0.0)), 1e-300)
         trace[j], square[j] = np.trace(matrix) / size, np.sum((matrix / size) ** 2)

@@ -61,7 +61,7 @@ def by_directions(
     curvature = np.eye(rank)
     for block in second:
         curvature -= _bent(informed, block).sum(axis=0)
-    total = np.zeros((len(informed.determined),) * 2)
+    total = np.zeros((len(informed.back),) * 2)
     for start in range(0, n, max(NUMBERS // rank**2, 1)):
         stop = min(start + max(NUMBERS // rank**2, 1), n)
         inside = every & (direction >= start) & (direction < stop)

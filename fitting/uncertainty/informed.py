@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,8 @@ class Informed:
         Rows of what is profiled beside the parameters have a share in q^T q = 1 as well.
     whole : ndarray, shape (P, R)
         `back`, with rows of parameters that are not determined as well, which mean nothing alone.
+    combinations : ndarray, shape (K, P), optional
+        What stands in place of the parameters in all that is derived: linear combinations of them.
 
     Notes
     -----
@@ -42,6 +44,7 @@ class Informed:
     z: FloatArray
     q: FloatArray
     whole: FloatArray
+    combinations: FloatArray | None = None
 
     @classmethod
     def of(cls, minimum: Minimum) -> Informed:
@@ -72,8 +75,16 @@ class Informed:
 
     @property
     def back(self) -> FloatArray:
-        """Change of each parameter along each direction, (P, R); 0 where it is not determined."""
-        return np.asarray(np.where(self.determined[:, None], self.whole, 0.0))
+        """Change of each parameter along each direction, (P, R); 0 where it is not determined.
+
+        Of the combinations of parameters, (K, R), where these stand in their place.
+        """
+        of_parameters = np.asarray(np.where(self.determined[:, None], self.whole, 0.0))
+        return of_parameters if self.combinations is None else self.combinations @ of_parameters
+
+    def of_combinations(self, combinations: FloatArray) -> Informed:
+        """The same for linear combinations (K, P) of the parameters in place of them."""
+        return replace(self, combinations=combinations)
 
     @cached_property
     def leverage(self) -> FloatArray:

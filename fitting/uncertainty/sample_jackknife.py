@@ -107,7 +107,7 @@ def _newton(informed: Informed, second: Iterable[Block], where: NDArray[np.bool_
         curvature -= back.T @ np.einsum("n,npq->pq", z, block.second) @ back
     values, vectors = np.linalg.eigh(curvature)
     inverse = (vectors / np.maximum(values, FLOOR)) @ vectors.T
-    total = np.zeros((len(informed.determined), len(informed.determined)))
+    total = np.zeros((len(informed.back),) * 2)
     for block in second:
         some = block.samples[where[block.samples]]
         own_second = block.second[where[block.samples]]

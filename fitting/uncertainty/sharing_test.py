@@ -1,8 +1,13 @@
-"""Likelihood-ratio test of the parameters that the parts of a joint fit share."""
+"""Test of the parameters that the parts of a joint fit share.
+
+Where the model holds, by the growth of chi-squared from separate fits to the joint one; where it
+does not, by the estimates of the separate fits.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -12,8 +17,16 @@ from gonio.fitting.minimum.optimum import Optimum, better
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.channels import Channel
 from gonio.fitting.problem.joint import JointProblem, base_name
+from gonio.fitting.residual_tests.verdict import misfit_beyond_shared
 from gonio.fitting.result import Sharing
+from gonio.fitting.result.verdict import TOLERANCE
 from gonio.fitting.uncertainty import covariance as uncertainty
+from gonio.fitting.uncertainty.correlated_parts import (
+    residual_correlation,
+    with_correlated_parts,
+)
+from gonio.fitting.uncertainty.estimates_compared import compared_estimates
+from gonio.fitting.uncertainty.under_misfit import allowing
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
 
@@ -26,9 +39,17 @@ def sharing_test(
     alone: Sequence[Minimum],
     channels: Sequence[Channel],
 ) -> tuple[Sharing, list[dict[str, tuple[float, float | None]]]]:
-    """Likelihood ratio of the joint fit to separate ones; the shared parameters part by part.
+    """Whether the parts share what the joint fit lets them; the shared parameters part by part.
 
-    Both with the weights of the joint fit, so that the growth of chi-squared is never negative.
+    All with the weights of the joint fit, so that the growth of chi-squared is never negative.
+
+    Notes
+    -----
+    Where the residuals of the separate fits show that the model, or equal noise, does not hold, or
+    where residuals of the parts are correlated, the estimates of the separate fits are compared.
+    A model that does not hold finds other values where it is wrong in another way, as at another
+    wavelength. Such a difference may be clear, and is not refused where it changes f by less than
+    the tolerance of the verdict. Where the model holds, the likelihood ratio decides.
     """
     apart, growth = [], 0.0
     for minimum, (part, _, index) in zip(alone, problem.pieces(), strict=True):
@@ -37,11 +58,18 @@ def sharing_test(
         apart.append(better(own, other))
         growth += max(part.chi2(optimum.p[index]) - apart[-1].chi2, 0.0)
     separate = JointProblem.from_parts(channels, problem.parts, ())
-    errors = uncertainty.evaluate(Minimum.of(separate, _stacked(apart), 1.0))
+    separate = replace(separate, scales=problem.scales)
+    whole = Minimum.of(separate, _stacked(apart), 1.0)
+    errors = uncertainty.evaluate(whole)
     names = tuple(q.name for q in problem.parameters if q.name == base_name(q.name))
     dof = sum(_rank(own) for own in apart) - _rank(optimum)
-    p_value = None
-    if dof > 0:
+    misfit = misfit_beyond_shared(whole)
+    honest = allowing(whole, with_correlated_parts(whole, errors), misfit)
+    by_estimates = honest.allowance is not None
+    by_estimates |= residual_correlation(separate, whole.optimum.p) is not None
+    comparison = compared_estimates(whole, names, honest, misfit) if by_estimates else None
+    p_value = None if comparison is None else comparison.p
+    if not by_estimates and dof > 0:
         allowed = growth * _allowance(names, separate, apart, errors)
         left = problem.n - sum(int(np.count_nonzero(own.free)) for own in apart)
         p_value = _chance(problem, allowed, dof, left)
@@ -50,12 +78,28 @@ def sharing_test(
         pairs: dict[str, tuple[float, float | None]] = {}
         for j, q in enumerate(part.parameters):
             if q.name in names:
-                sd = float(np.sqrt(errors.covariance[index[j], index[j]]))
+                sd = float(np.sqrt(honest.covariance[index[j], index[j]]))
                 is_known = errors.determined[index[j]] and sd < q.upper - q.lower
                 pairs[q.name] = (float(own.p[j]), sd if is_known else None)
         identified_pairs.append(pairs)
     refused = p_value is not None and p_value < REFUSED
-    return Sharing(names, growth, max(dof, 0), p_value, refused), identified_pairs
+    test = Sharing(names, growth, max(dof, 0), p_value, refused)
+    if comparison is not None:
+        change = _change(problem, optimum, growth)
+        test = replace(
+            test,
+            refused=refused and change > TOLERANCE,
+            distance=comparison.distance,
+            distance_dof=comparison.dof,
+            change=change,
+        )
+    return test, identified_pairs
+
+
+def _change(problem: JointProblem, optimum: Optimum, growth: float) -> float:
+    """Typical change of f by the sharing, as a fraction of f: the root of growth / sum w f^2."""
+    level = float(np.sum(problem.inverse_variance * problem.values(optimum.p) ** 2))
+    return float(np.sqrt(growth / max(level, 1e-300)))
 
 
 def _chance(problem: JointProblem, growth: float, dof: int, left: int) -> float:

@@ -73,7 +73,7 @@ def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> 
     p = unequal_noise(informed.z, level)
     if p >= UNEQUAL:
         return errors
-    spread = _left_out(minimum, informed)
+    spread = left_out(minimum, informed)
     return errors.with_spread(spread, Allowance("samples", p, 0, structure=False))
 
 
@@ -86,10 +86,10 @@ def _of_misfit(
     minimum: Minimum, errors: Uncertainty, test: MisfitTest, group: NDArray[np.int64]
 ) -> Uncertainty:
     problem = minimum.problem
-    wrong = _with_structure(problem, test)
+    wrong = with_structure(problem, test)
     if problem.quadratic:
         informed = Informed.of(minimum)
-        spread = _left_out(minimum, informed, SecondDerivatives(minimum), wrong)
+        spread = left_out(minimum, informed, SecondDerivatives(minimum), wrong)
     else:
         assert errors.dof is not None
         informed, spread = informed_by_loss(minimum), Spread(errors.independent, errors.dof)
@@ -112,7 +112,7 @@ def _of_misfit(
     return errors.with_spread(spread, allowance)
 
 
-def _left_out(
+def left_out(
     minimum: Minimum,
     informed: Informed,
     second: SecondDerivatives | None = None,
@@ -125,7 +125,7 @@ def _left_out(
     return by_directions(informed, numbers_of_directions(problem), second or (), wrong)
 
 
-def _with_structure(problem: Problem, test: MisfitTest) -> NDArray[np.bool_]:
+def with_structure(problem: Problem, test: MisfitTest) -> NDArray[np.bool_]:
     """Samples of the parts whose residuals have structure; all where no single part shows it."""
     if len(test.parts) != len(problem.pieces()):
         return np.ones(problem.n, np.bool_)  # of a part of a joint fit alone

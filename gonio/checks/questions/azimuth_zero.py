@@ -12,6 +12,9 @@ from gonio.checks.questions.evidence import Evidence
 EXPLAINED = 0.25  # share that a lobe may leave
 NOTHING = 0.9  # share that a lobe leaves where there is none
 STRONG = 3.0  # times the median: higher than the shading of a rough surface
+ALIKE = 0.7  # of what a mirror lobe leaves: light thrown back leaves less on a retroreflector
+OUT_OF_PLANE = 0.1  # sine of phi_r - phi_i
+HEMISPHERE = 0.3  # share of samples out of the plane that show the shape of a lobe
 BETTER = 0.3  # of what surfaces that throw light back leave
 
 
@@ -33,11 +36,14 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
             "source: the azimuth is counted from the forward side. Add 180 deg to phi_r.",
         )
     elif np.max(evidence.value) > STRONG * np.median(evidence.value):
+        out_of_plane = float(np.mean(np.abs(np.sin(evidence.delta)) > OUT_OF_PLANE))
+        like_mirror = fit.retro > ALIKE * fit.azimuth_turned and out_of_plane > HEMISPHERE
         yield Finding(
             "azimuth_zero_possible",
-            "note",
-            f"{found}. A retroreflecting surface does so. Otherwise the azimuth is counted from "
-            "the forward side: add 180 deg to phi_r.",
+            "warning" if like_mirror else "note",
+            f"{found}. A retroreflecting surface does so: its peak points to the light at every "
+            "incidence. Otherwise the azimuth is counted from the forward side: add 180 deg to "
+            "phi_r.",
         )
 
 

@@ -1,0 +1,84 @@
+"""Do single values stand far above their neighbours outside the plane of incidence?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gonio.checks.questions.base import Finding, Question
+from gonio.checks.questions.evidence import Evidence
+
+FACTOR = 5.0  # times the largest of the values around it
+LEVEL = 3.0  # largest ratio among the values around it
+NEAR_DEG = 25.0  # to the farthest of the values around it
+AWAY_DEG = 8.0  # tilt from the mirror direction, and half the angle from the light
+GRAZING_DEG = 78.0
+IN_PLANE = 0.02  # sine of phi_r - phi_i: samples there stand in scans and are asked elsewhere
+SHARE = 0.02  # of the samples, above which it is the surface
+LEAST = 20  # samples
+
+
+def ask(evidence: Evidence) -> Iterator[Finding]:
+    """Single samples out of the plane that are far above all around them, which are smooth."""
+    if evidence.n < LEAST or np.count_nonzero(evidence.value > 0) < LEAST:
+        return
+    some = np.flatnonzero(evidence.value > FACTOR * np.median(evidence.value[evidence.value > 0]))
+    some = some[np.abs(np.sin(evidence.delta[some])) > IN_PLANE]
+    if not len(some):
+        return
+    around = evidence.neighbours[some]
+    beside = evidence.value[around]
+    w_i, w_r = evidence.vectors
+    cosine = np.minimum(
+        np.einsum("nkj,nj->nk", w_r[around], w_r[some]),
+        np.einsum("nkj,nj->nk", w_i[around], w_i[some]),
+    )
+    stands = np.all(beside > 0, axis=1) & (evidence.value[some] > FACTOR * beside.max(axis=1))
+    stands &= beside.max(axis=1) < LEVEL * beside.min(axis=1)
+    stands &= cosine.min(axis=1) > np.cos(np.radians(NEAR_DEG))
+    phase = np.arccos(np.clip(np.sum(w_i[some] * w_r[some], axis=1), -1, 1))
+    half = w_i[some] + w_r[some]
+    length = np.maximum(np.linalg.norm(half, axis=1), 1e-12)
+    tilt = np.arccos(np.clip(half[:, 2] / length, -1, 1))
+    stands &= np.degrees(np.minimum(tilt, phase / 2)) > AWAY_DEG
+    steep = np.maximum(evidence.theta_i[some], evidence.theta_r[some])
+    stands &= np.degrees(steep) < GRAZING_DEG
+    index = some[stands]
+    index = index[[_above_its_like(evidence, k) for k in index.tolist()]]
+    if not len(index) or len(index) > max(1, SHARE * evidence.n):
+        return
+    times = evidence.value[index] / np.median(evidence.value[evidence.neighbours[index]], axis=1)
+    span = f"{times.min():.2g}" + (f" to {times.max():.2g}" if len(index) > 1 else "")
+    one = len(index) == 1
+    yield Finding(
+        "isolated",
+        "warning",
+        f"{len(index)} of {evidence.n} values {'is' if one else 'are'} {span} times the values "
+        f"around {'it' if one else 'them'} ({evidence.where(index)}), far from the mirror "
+        "direction and from the light: stray light or a reading error. Measure these again or "
+        "remove them.",
+        tuple(index.tolist()),
+        evidence.lines(index),
+    )
+
+
+def _above_its_like(evidence: Evidence, k: int) -> bool:
+    """Whether samples that an isotropic surface makes alike exist, and are as far below.
+
+    Between few samples of a brushed surface a streak of its lobe may pass that one of them meets.
+    """
+    like = np.flatnonzero(evidence.geometry_class == evidence.geometry_class[k])
+    like = like[like != k]
+    return len(like) > 0 and bool(np.all(evidence.value[k] > FACTOR * evidence.value[like]))
+
+
+QUESTION = Question(
+    key="isolated",
+    order=165,
+    asks="Do single values out of the plane of incidence stand far above their neighbours?",
+    compares="each value with the eight nearest at almost the same incidence, and with that on the "
+    "other side of the plane, away from the mirror direction and the light",
+    codes=("isolated",),
+    ask=ask,
+)

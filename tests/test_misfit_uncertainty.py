@@ -310,7 +310,7 @@ def test_a_lobe_that_three_samples_saw_is_not_established():
     assert not result.parameters["alpha"].established
     assert "not established" in str(result)
     (text,) = [w for w in result.warnings if w.startswith("alpha is not established")]
-    assert "effective samples carry it" in text
+    assert "effective samples carry it, where 10 establish it" in text
     support = result.diagnostics["support"]["alpha"]
     first = support["samples"][0]
     assert (

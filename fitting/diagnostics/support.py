@@ -102,7 +102,9 @@ def _largest(weight: FloatArray) -> list[int]:
 def _reasons(estimate: Estimate, number: float, leverage: float, moved: float | None) -> list[str]:
     reasons = []
     if not number >= ENOUGH:
-        reasons.append(f"{number:.2g} effective samples carry it")
+        size = f"{number:.2g}"
+        carry = "effective sample carries" if size == "1" else "effective samples carry"
+        reasons.append(f"{size} {carry} it, where {ENOUGH:g} establish it")
     elif leverage > LEVERAGE:
         reasons.append("each of the samples that carry it decides its own fitted value")
     assert estimate.stderr is not None

@@ -141,4 +141,4 @@ def _undetermined(name: str, alignment: Alignment) -> str:
     if name == "R":
         return "mm, not determined: no length is known; the others are in proportion to it"
     others = " and ".join(alignment.held_for.get(name, ())) or "the others"
-    return f"held, not determined: the spots do not tell it from {others}"
+    return f"held, not determined: the spots cannot separate it from {others}"

@@ -200,7 +200,7 @@ def _legend(comparison: Comparison, stated: bool) -> str:
     ]
     parts += [] if stated else ["rel.chi2: chi2/dof by that of the best fit"]
     doubtful = any(_doubtful(entry) for entry in comparison.entries)
-    return "; ".join(parts + (["?: not to be trusted"] if doubtful else []))
+    return "; ".join(parts + (["?: unreliable standard error"] if doubtful else []))
 
 
 def _row(entry: Entry, unit: float, *, first: bool) -> list[str]:

@@ -127,7 +127,10 @@ def _verdict(found: _Finding, reports: Sequence[ResidualReport], tolerance: floa
     worst = max(groups, key=lambda g: abs(g.relative or 0.0))
     assert worst.relative is not None
     if found.size is not None and abs(worst.relative) <= found.size:
-        return verdict  # an error that changes its sign within all groups
+        # The error changes its sign within all groups: the mean of none is its size.
+        clearest = max(groups, key=lambda g: abs(g.z))
+        reason = f"{found.reason}, seen most clearly {clearest.text}"
+        return replace(verdict, reason=reason, where=clearest.text, most=clearest.relative)
     side = "low" if worst.relative > 0 else "high"
     by = per_cent(abs(worst.relative))
     reason = f"{found.reason}, most (too {side} by {by}) {worst.text}"

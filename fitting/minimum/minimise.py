@@ -20,9 +20,10 @@ from gonio.fitting.minimum.variable_projection import amplitudes_solved
 from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray
 
-STARTS = 2  # starting values that are followed to their minimum,
-MANY_STARTS = 8  # and where chi2 has more minima: with more than two nonlinear parameters, or two
-FEW_SAMPLES = 500  # and at most so many samples
+# Starting values that are followed to their minimum: chi-squared has more minima with more than two
+# nonlinear parameters, and with two and few samples, and most with both.
+STARTS = (2, 8, 32)
+FEW_SAMPLES = 500
 SEARCHES = 1  # starting values, the best ones, from which an engine searches
 FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples
 FIRST = 4000  # samples on which a start is followed before all are used
@@ -36,8 +37,8 @@ def starts(problem: Problem, n: int | None = None) -> list[FloatArray]:
     """The best n starting values, searched for in the data (`starting_values.candidates`)."""
     if n is None:
         nonlinear = sum(not q.linear and q.lower < q.upper for q in problem.parameters)
-        few = nonlinear > 1 and problem.n <= FEW_SAMPLES
-        n = STARTS if nonlinear <= 2 and not few else MANY_STARTS
+        hardness = (nonlinear > 2) + (nonlinear > 1 and problem.n <= FEW_SAMPLES)
+        n = STARTS[hardness]
     return starting_values.candidates(problem, n)
 
 

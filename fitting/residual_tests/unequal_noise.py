@@ -7,6 +7,7 @@ import numpy as np
 from gonio.geometry import FloatArray
 
 RANK = 1e-12  # of the largest eigenvalue, below which one is rounding
+ROUNDING = 1e-12  # range of the level, relative, that is none
 
 
 def unequal_noise(z: FloatArray, level: FloatArray) -> float:
@@ -42,7 +43,9 @@ def unequal_noise(z: FloatArray, level: FloatArray) -> float:
 
     # Coordinates about the middle: their squares are far from following the level itself.
     reach = float(np.ptp(level)) if len(level) else 0.0
-    x = (level - float(np.mean(level))) / max(reach, 1e-300)
+    x = np.zeros(len(level))
+    if reach > ROUNDING * float(np.max(np.abs(level), initial=0.0)):
+        x = (level - float(np.mean(level))) / reach
     design = np.stack([np.ones(len(x)), x, x**2])
     size = max(float(np.max(np.abs(z), initial=0.0)), 1e-300)
     square = (z / size) ** 2

@@ -107,6 +107,47 @@ def test_csv_column_order_mark_and_line_ends_do_not_matter(put):
     same(plain, formats.read(other))
 
 
+def test_csv_names_may_be_followed_by_their_units(put):
+    plain = formats.read(put(f"{HEADER},u_brdf,wavelength_nm\n10,20,30,40,0.5,0.01,650\n"))
+    for header in (
+        "theta_i [deg],phi_i (deg),theta_r/deg,phi_r [\N{DEGREE SIGN}],BRDF [1/sr],u_brdf (sr^-1),"
+        "wavelength_nm [nm]",
+        "theta_i_deg,phi_i deg,theta_r [degrees],phi_r(deg),brdf/sr,u_brdf [sr-1],wavelength/nm",
+    ):
+        same(plain, formats.read(put(f"{header}\n10,20,30,40,0.5,0.01,650\n", "b.csv")))
+
+
+ANOTHER_UNIT = {
+    "theta_i [rad]": "column 'theta_i [rad]': 'rad' is not the unit of theta_i, which is deg; "
+    "convert the values (multiply by 57.29577951 (180/pi)) and call the column theta_i.",
+    "theta_i/gon": "convert the values (multiply by 0.9) and call the column theta_i.",
+    "theta_i [foo]": "convert the values, or call the column theta_i if they are in deg.",
+    "theta_i [deg],theta_i": "column theta_i stands twice in the header, once as 'theta_i'",
+    "THETA_I": "unknown column 'THETA_I': names have small letters; write theta_i.",
+    "u_brdf [%]": "'%' is not the unit of u_brdf, which is sr^-1; convert the values (multiply by "
+    "brdf and divide by 100 if they are per cent of the reading)",
+    "wavelength_um": "'um' is not the unit of wavelength_nm, which is nm; convert the values "
+    "(multiply by 1000) and call the column wavelength_nm.",
+    "wavelength": "Wavelengths are in nm: convert them and call the column wavelength_nm.",
+    "brdf_450nm": "One line holds one value: write a line for each wavelength or channel",
+    "temperature": "unknown column 'temperature'; choose from brdf, channel, phi_i, phi_r, "
+    "theta_i, theta_r, u_brdf, wavelength_nm. Remove this column; if lines with different "
+    "temperature do not belong together, call it channel.",
+}
+
+
+@pytest.mark.parametrize("name", ANOTHER_UNIT)
+def test_csv_names_with_another_unit_or_unknown_say_what_to_do(put, name):
+    cells = ",".join(["1"] * (name.count(",") + 1))
+    path = put(f"{name},phi_i,theta_r,phi_r,brdf\n{cells},2,3,4,0.5\n")
+    refused(path, ANOTHER_UNIT[name])
+
+
+def test_csv_polar_angles_up_to_100_may_be_gradians(put):
+    path = put(f"{HEADER}\n10,0,90,200,0.5\n10,0,95,200,0.5\n10,0,99,200,0.5\n")
+    refused(path, "in gradians, 100 to a right angle, multiply theta and phi by 0.9.")
+
+
 def test_csv_is_recognised_by_content(put):
     samples = formats.read(put(f"{HEADER}\n10,20,30,40,0.5\n", "samples.dat"))
     assert samples.metadata["format"] == "gonio_csv"

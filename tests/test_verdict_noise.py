@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hemisphere import GRID, ISOTROPIC
@@ -90,3 +92,15 @@ def test_a_tail_that_the_model_lacks_is_no_missing_floor():
     ward = models.get("ward_isotropic")
     f = ward(GRID, **DARK) + ward(GRID, rho_d=0.0, rho_s=0.02, alpha=0.6)
     assert verdict(f, 0.02 * f, 0.02 * f).kind == "does_not_fit"
+
+
+def test_structure_below_noise_that_is_stated_too_large_names_the_noise():
+    f = models.get("ward_isotropic")(GRID, **ISOTROPIC)
+    found = verdict(f * (1 + 0.01 * np.sin(4 * GRID.theta_r)), 0.01 * f, 0.04 * f)
+    assert found.kind == "undecided"
+    assert re.search(
+        r"residuals are only 0\.\d+ times the stated noise and yet have structure: u_brdf is too "
+        r"large, and may hide an error of the model of up to",
+        found.reason,
+    )
+    assert "of 0 %" not in found.reason

@@ -31,6 +31,7 @@ from gonio.wording import counted
 UNDERSTATED = 3.0  # factor by which noise may be stated too small where samples are sparse
 BLACK = "the fitted f is 0 at every sample, so that no error has a size in per cent of f"
 UNUSUAL = 0.3  # of f: noise that no instrument has where it measures
+SMALLER = 3.0  # standard deviations of chi-squared by which residuals are smaller than their noise
 STANDS_OUT = 4.0  # standard deviations by which a group does that the verdict names
 
 
@@ -204,6 +205,8 @@ def _class_by_noise(excess: Excess, p: float, tolerance: float) -> tuple[Class, 
         return "fits", f"no error of the model beyond {upper}, within the tolerance of {limit}"
     if excess.interval[1] <= tolerance:
         return "fits", f"typically off by {size}, within the tolerance of {limit}"
+    if excess.size <= 0:
+        return "undecided", _small_but_structured(excess)
     if excess.size <= tolerance:
         return "undecided", (
             f"an error of the model is seen, of {size} or so, and it is not clear whether it "
@@ -215,6 +218,21 @@ def _class_by_noise(excess: Excess, p: float, tolerance: float) -> tuple[Class, 
             f"errors, or an error of the model of {size} or so"
         )
     return "does_not_fit", f"typically off by {size}"
+
+
+def _small_but_structured(excess: Excess) -> str:
+    """What is said of structure in residuals that are smaller than the stated noise."""
+    ratio = float(np.sqrt(excess.chi2 / max(excess.dof, 1.0)))
+    hidden = of_f(excess.interval[1])
+    if excess.chi2 > excess.dof - SMALLER * np.sqrt(2 * excess.dof):
+        return (
+            "the residuals follow each other but are no larger than the stated noise: correlated "
+            f"errors, or an error of the model of up to {hidden}"
+        )
+    return (
+        f"the residuals are only {ratio:.2g} times the stated noise and yet have structure: u_brdf "
+        f"is too large, and may hide an error of the model of up to {hidden}"
+    )
 
 
 def _of_large_residuals(base: Base, excess: Excess, p_structure: float) -> tuple[Class, str]:

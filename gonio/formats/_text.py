@@ -202,6 +202,14 @@ def _or_nan(cell: str) -> float:
         return float("nan")
 
 
+def _perhaps_gradians(theta: FloatArray, unit: str) -> str:
+    """A hint where several angles pass 90 and none passes 100, as in gradians."""
+    beyond = np.unique(theta[theta > 90 + HORIZON_SLACK])
+    if unit != "deg" or len(beyond) < 2 or beyond[-1] > 100 + 1e-6:
+        return ""
+    return " If the angles are in gradians, 100 to a right angle, multiply theta and phi by 0.9."
+
+
 def check_polar(
     path: Path,
     lines: Lines,
@@ -245,7 +253,7 @@ def check_polar(
         what = "beyond the horizon" if limit_deg == 90 else "not a polar angle"
         raise DataError(
             f"{path}: line {lines[k]}, column {column}: {theta[k]:.12g} {unit} is {what}; "
-            f"allowed is 0 to {limit:.12g} {unit} from the normal.",
+            f"allowed is 0 to {limit:.12g} {unit} from the normal.{_perhaps_gradians(theta, unit)}",
             value=float(theta[k]),
         )
     radians = np.radians(theta) if unit == "deg" else theta

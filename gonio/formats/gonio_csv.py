@@ -3,7 +3,8 @@
 The header names the columns, in any order: ``theta_i, phi_i, theta_r, phi_r`` (degrees; both
 directions leave the surface; phi from +x, counter-clockwise seen from outside) and ``brdf``
 (sr^-1, cosine not included), and where known ``u_brdf`` (standard uncertainty, sr^-1),
-``channel`` (a name) and ``wavelength_nm``. A file of directions needs the angles only.
+``channel`` (a name) and ``wavelength_nm``. A file of directions needs the angles only. A name may
+be followed by its unit, as in ``theta_i [deg]``, ``phi_r/deg`` or ``brdf (sr^-1)``.
 
 Lines without a reading (an empty cell, ``NaN``, ``n/a``, ``--``, or ``u_brdf`` that is not
 positive) are left out if they are fewer than half. A polar angle may carry a sign where at least
@@ -20,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.errors import DataError, unknown_name
+from gonio.errors import DataError
+from gonio.formats._header import base_name, column_names
 from gonio.formats._signed_angles import unsigned
 from gonio.formats._text import Lines, Table, check_polar, measured, numbers, open_text
 from gonio.geometry import Directions, FloatArray
@@ -41,7 +43,9 @@ def mismatch(path: Path, head: bytes) -> str | None:
     if b"\0" in head:
         return "it is not UTF-8 text"
     first = head.decode("utf-8-sig", errors="replace").lstrip().split("\n", 1)[0]
-    names = {cell.strip() for cell in first.replace(";", ",").replace("\t", ",").split(",")}
+    names = {
+        base_name(cell.strip()) for cell in first.replace(";", ",").replace("\t", ",").split(",")
+    }
     if names.isdisjoint(COLUMNS) and path.suffix.lower() != ".csv":
         return f"its first line names none of the columns {', '.join(REQUIRED)}"
     return None
@@ -172,10 +176,11 @@ def _read_columns(path: Path, required: tuple[str, ...]) -> dict[str, NDArray[An
     parts: dict[str, list[NDArray[Any]]] = {}
     with open_text(path) as file:
         table = Table(path, file)
-        _check_header(path, table.header, required)
+        header = column_names(path, table.header, COLUMNS)
+        _check_missing(path, header, required)
         for lines, columns in table.blocks():
             parts.setdefault("line", []).append(lines)
-            for name, cells in zip(table.header, columns, strict=True):
+            for name, cells in zip(header, columns, strict=True):
                 if name in wanted:
                     part = _column(path, lines, name, cells, signed=samples)
                     parts.setdefault(name, []).append(part)
@@ -248,10 +253,7 @@ def _mostly_missing(
     )
 
 
-def _check_header(path: Path, header: list[str], required: tuple[str, ...]) -> None:
-    for name in header:
-        if name not in COLUMNS:
-            raise DataError(f"{path}: {unknown_name('column', name, COLUMNS)}", value=name)
+def _check_missing(path: Path, header: list[str], required: tuple[str, ...]) -> None:
     missing = [name for name in required if name not in header]
     if missing:
         raise DataError(

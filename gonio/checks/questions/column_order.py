@@ -23,7 +23,9 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         return
     few = slice(None, None, max(1, len(value) // FEW))
     # A few samples tell that the uncertainties are not nearly all above the values.
-    if u is not None and np.mean(u[few] > value[few]) > 0.9 and np.all(value > 0):
+    # One uncertainty on all lines is no column of values, but per cent.
+    varied = u is not None and bool(np.any(u != u[0]))
+    if u is not None and varied and np.mean(u[few] > value[few]) > 0.9 and np.all(value > 0):
         ratio = np.log(u / value)
         typical = float(np.median(ratio))
         scatter = 1.4826 * float(np.median(np.abs(ratio - typical)))

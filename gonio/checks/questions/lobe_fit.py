@@ -37,6 +37,9 @@ class LobeFit:
         that grows as a mirror lobe does, or two beside the shading of a rough surface.
     elevations : float
         As `as_written`, with 90 deg - theta in place of theta.
+    elevation_i, elevation_r : float
+        A lobe about the mirror direction with 90 deg - theta_i in place of theta_i, and with
+        90 deg - theta_r in place of theta_r.
     """
 
     as_written: float
@@ -44,6 +47,8 @@ class LobeFit:
     azimuth_turned: float
     retro: float
     elevations: float
+    elevation_i: float
+    elevation_r: float
 
 
 def lobe_fit(
@@ -73,34 +78,39 @@ def lobe_fit(
     tilt, off, level = _tilts(theta_i, theta_r, delta)
     tilt_turned, _, _ = _tilts(theta_i, theta_r, delta + np.pi)
     tilt_high, off_high, level_high = _tilts(np.pi / 2 - theta_i, np.pi / 2 - theta_r, delta)
+    tilt_i, _, level_i = _tilts(np.pi / 2 - theta_i, theta_r, delta)
+    tilt_r, _, level_r = _tilts(theta_i, np.pi / 2 - theta_r, delta)
     steep, flat = np.maximum(theta_i, theta_r), np.minimum(theta_i, theta_r)
     shading = np.maximum(np.cos(delta), 0) * np.sin(steep) * np.tan(flat)
     n = len(WIDTHS)
-    rows = np.empty((6 * n + 2, len(value)))
+    rows = np.empty((8 * n + 2, len(value)))
     rows[0], rows[-1] = root, root * shading
     one = np.ones(len(value))
     kinds = [(tilt, level), (off, one), (off, level), (tilt_turned, level),
-             (tilt_high, level_high), (off_high, one)]  # fmt: skip
+             (tilt_high, level_high), (off_high, one),
+             (tilt_i, level_i), (tilt_r, level_r)]  # fmt: skip
     for k, (square, factor) in enumerate(kinds):
         _lobes(square, root * factor, rows[1 + k * n : 1 + (k + 1) * n])
     fit = _Fits(root * value, rows)
     if fit.total / len(value) < (VARIATION / 2) ** 2:
         return None
-    alone = fit.left([[k] for k in range(6 * n)])
-    m, r, g, t, e, s = (alone[k * n : (k + 1) * n] for k in range(6))
+    alone = fit.left([[k] for k in range(8 * n)])
+    m, r, g, t, e, s, of_i, of_r = (alone[k * n : (k + 1) * n] for k in range(8))
     best_m, best_r, best_e, best_s = (int(np.argmin(x)) for x in (m, r, e, s))
     # One lobe of each kind, each the best beside the other's best.
     two = [*((best_m, n + k) for k in range(n)), *((k, n + best_r) for k in range(n))]
     two += [*((4 * n + best_e, 5 * n + k) for k in range(n)),
             *((4 * n + k, 5 * n + best_s) for k in range(n))]  # fmt: skip
     as_written, elevations = fit.left(two).reshape(2, -1).min(axis=1)
-    rough = fit.left([(n + a, n + b, 6 * n) for a, b in combinations(range(n), 2)]).min()
+    rough = fit.left([(n + a, n + b, 8 * n) for a, b in combinations(range(n), 2)]).min()
     return LobeFit(
         as_written=float(as_written),
         mirror=float(m.min()),
         azimuth_turned=float(t.min()),
         retro=float(min(r.min(), g.min(), rough)),
         elevations=float(elevations),
+        elevation_i=float(of_i.min()),
+        elevation_r=float(of_r.min()),
     )
 
 

@@ -17,6 +17,10 @@ AT_POLE = 0.2  # the same where they differ in an azimuth that means nothing
 ORDERED = 0.1  # the same where the repeats follow the same order everywhere
 IN_ORDER = 0.9  # share of the spread that the order of the lines explains
 FACTOR = 8.0  # times the stated uncertainty
+BEYOND = 1.5  # times the stated uncertainty, from which on it does not cover the repeats
+TYPICALLY = 1.25  # the same for the median, so that single readings do not decide
+SIGMAS = 5.0  # of chi-squared, by which repeats must disagree
+COMMON = 0.5  # share of the disagreement that one factor for each take explains
 TURN = 2**23  # steps of a turn: less than 1e-6 rad each
 MULTIPLIER = 6364136223846793005  # odd and with bits in no order (Knuth)
 
@@ -51,6 +55,48 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     implausible |= spread > ORDERED and ordered > IN_ORDER
     if implausible and spread >= FACTOR * noise:
         yield _finding(evidence, index, distinct, spread, ordered, pole=pole)
+    elif evidence.u is not None:
+        yield from _beyond_stated(evidence, index[~at_pole], of[~at_pole], order[~at_pole])
+
+
+def _beyond_stated(
+    evidence: Evidence, index: NDArray[np.int64], of: NDArray[np.int64], take: NDArray[np.int64]
+) -> Iterator[Finding]:
+    """Repeats that differ by more than their stated uncertainty, by however little."""
+    assert evidence.u is not None
+    count = np.bincount(of, minlength=1)[of]
+    index, of, take, count = (a[count > 1] for a in (index, of, take, count))
+    log, noise = np.log(evidence.value[index]), evidence.u[index] / evidence.value[index]
+    distinct = len(np.unique(of))
+    dof = len(index) - distinct
+    if distinct < LEAST:
+        return
+    off = (log - _mean(log, of)[of]) * np.sqrt(count / (count - 1))
+    ratio = float(np.sqrt(np.mean((off / noise) ** 2)))
+    typical = 1.4826 * float(np.median(np.abs(off / noise)))
+    if ratio < BEYOND or typical < TYPICALLY or dof * (ratio**2 - 1) < SIGMAS * np.sqrt(2 * dof):
+        return
+    spread, stated = float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(noise**2)))
+    # Take by take, each with the directions that it shares with the first.
+    level = _mean(log - _mean(log, of)[of], take)
+    left = off - (level[take] - _mean(level[take], of)[of]) * np.sqrt(count / (count - 1))
+    factor = float(np.exp(np.ptp(level[np.bincount(take) > 0])) - 1)
+    common = 1 - float(np.mean(left**2) / np.mean(off**2))
+    why = "the surface, its place or the lamp changed between them"
+    if common > COMMON:
+        why = (
+            f"most of that is one factor between the takes, {factor:.1%} at most: the scale changed"
+        )
+    yield Finding(
+        "repeats_beyond_u",
+        "warning",
+        f"{distinct} directions occur more than once, with values that differ by {spread:.1%} "
+        f"({evidence.where(index)}), {ratio:.2g} times their u_brdf (typically {stated:.1%}): "
+        f"u_brdf does not cover it; {why}. State that as a scale (--u-scale), name the takes in a "
+        "column channel, or enlarge u_brdf.",
+        tuple(index.tolist()),
+        evidence.lines(index),
+    )
 
 
 def _directions(evidence: Evidence) -> NDArray[np.int64]:
@@ -134,7 +180,7 @@ QUESTION = Question(
     order=140,
     asks="Do repeated directions have values that cannot be repeats?",
     compares="the values of equal directions with 30 % (20 % where theta is 0), or with 10 % "
-    "where they differ in the order of the lines, and with 8 times the stated uncertainty",
-    codes=("inconsistent_repeats", "azimuth_at_pole"),
+    "where they differ in the order of the lines, and with the stated uncertainty",
+    codes=("inconsistent_repeats", "azimuth_at_pole", "repeats_beyond_u"),
     ask=ask,
 )

@@ -25,6 +25,8 @@ def with_keys_of_today(written):
         entry |= {"dof": None, "established": None}
     if written["posterior"] is not None:
         written["posterior"]["allowance"] = ""
+    if written.get("sharing") is not None:
+        written["sharing"] |= {"distance": None, "distance_dof": None, "change": None}
     return written | {"model_source": None, "polish": "gauss_newton", "verdict": None}
 
 

@@ -11,13 +11,14 @@ stated is taken as sd^2 = a + b f^2 with a and b from the scatter itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.residual_tests.model_errors import error_columns
 from gonio.fitting.residual_tests.quadratic_forms import combined
-from gonio.fitting.residual_tests.standardised import Noise, standardise
+from gonio.fitting.residual_tests.smooth_basis import Columns
+from gonio.fitting.residual_tests.standardised import Noise, Standardised, standardise
 from gonio.fitting.residual_tests.whitened import Base
 from gonio.fitting.result.verdict import ALARM
 
@@ -110,13 +111,11 @@ def _made(base: Base, *, shared: bool) -> MisfitTest | None:
     left = standardise(base, shared=shared)
     if left is None:
         return None
-    w_i, w_r = base.vectors
     found: dict[str, list[float]] = {}
     parts = []
-    for piece, where, _ in left.problem.pieces():
+    for where, every in errors_of_parts(base, left):
         own = []
-        vectors = (w_i[where], w_r[where])
-        for columns in error_columns(piece, vectors, left.level[where]):
+        for columns in every:
             for name, p in left.component_tests(columns, where).items():
                 own.append(p)
                 found.setdefault(name, []).append(p)
@@ -130,3 +129,17 @@ def _made(base: Base, *, shared: bool) -> MisfitTest | None:
         n_all=left.n_all,
         dof=left.dof,
     )
+
+
+def errors_of_parts(base: Base, left: Standardised) -> Iterator[tuple[slice, list[Columns]]]:
+    """Samples of each part, and the columns of every kind of error that it may have.
+
+    Parameters
+    ----------
+    base : Base
+        Over the samples of `left`.
+    left : Standardised
+    """
+    w_i, w_r = base.vectors
+    for piece, where, _ in left.problem.pieces():
+        yield where, error_columns(piece, (w_i[where], w_r[where]), left.level[where])

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.excess import Excess, stated_variance
-from gonio.fitting.residual_tests.misfit import MOST
-from gonio.fitting.residual_tests.model_errors import FINE, SMOOTH, VIEW, error_columns
+from gonio.fitting.residual_tests.misfit import MOST, errors_of_parts, misfit_test_of
+from gonio.fitting.residual_tests.model_errors import FINE, SMOOTH, VIEW
 from gonio.fitting.residual_tests.quadratic_forms import combined, ratio_test
 from gonio.fitting.residual_tests.standardised import LEAST, Standardised, standardise
 from gonio.fitting.residual_tests.whitened import Base
@@ -31,6 +30,8 @@ AS_STATED = 1.5  # factor by which the noise of the brightest may miss what is s
 TIMES = 2.5  # by which that of the darkest must exceed that of the brightest
 AGREES = (0.6, 1.5)  # noise of all bands in units of stated noise with a floor
 
+_Part = tuple[FloatArray, slice, FloatArray]  # columns of unit size, samples, eigenvalues
+
 
 def samples_of_half(excess: Excess) -> int | None:
     """How many samples make half of chi-squared, where these are few; None where it is spread."""
@@ -46,25 +47,26 @@ def sees_smooth_errors(base: Base, excess: Excess) -> bool:
 
     Errors of each kind are drawn with a fixed seed, as large as the excess, and tested.
     """
-    left = standardise(base.thinned(MOST), shared=False)
+    base = base.thinned(MOST)
+    left = standardise(base, shared=False)
     if left is None:
         return False
     share = min(excess.dof / max(excess.chi2, 1e-300), 1.0)  # of the noise in chi-squared
     rng = np.random.default_rng(0)
-    return all(_power(left, kind, share, rng) >= POWERFUL for kind in KINDS)
-
-
-def _power(left: Standardised, kind: str, share: float, rng: np.random.Generator) -> float:
-    """Share of errors of a kind that its test would see."""
-    parts = []
-    for piece, where, _ in left.problem.pieces():
-        for columns in error_columns(piece, _vectors(piece), left.level[where]):
-            for name, (gram, by_fit) in columns.sums(left.q[where]).items():
-                if name == kind:
+    parts: dict[str, list[_Part]] = {kind: [] for kind in KINDS}
+    for where, every in errors_of_parts(base, left):
+        for columns in every:
+            for kind, (gram, by_fit) in columns.sums(left.q[where]).items():
+                if kind in parts:
                     size2 = max(float(np.max(np.diag(gram))), 1e-300)
                     values = np.linalg.eigvalsh((gram - by_fit @ by_fit.T) / size2)
                     own = np.asarray(columns.full(kind) / np.sqrt(size2))
-                    parts.append((own, where, np.asarray(values, np.float64)))
+                    parts[kind].append((own, where, np.asarray(values, np.float64)))
+    return all(_power(left, parts[kind], share, rng) >= POWERFUL for kind in KINDS)
+
+
+def _power(left: Standardised, parts: list[_Part], share: float, rng: np.random.Generator) -> float:
+    """Share of errors of a kind that its test would see."""
     seen = 0
     for _ in range(DRAWS):
         error = np.zeros(left.z.size)
@@ -79,13 +81,6 @@ def _power(left: Standardised, kind: str, share: float, rng: np.random.Generator
         ]
         seen += combined([p for p in chances if p is not None]) < ALARM
     return seen / DRAWS
-
-
-def _vectors(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors towards the light and towards the viewer, (N, 3) each."""
-    w_i, w_r = problem.samples.directions.vectors()
-    shape = (problem.n, 3)
-    return np.broadcast_to(w_i, shape), np.broadcast_to(w_r, shape)
 
 
 def _scaled(left: Standardised, z: FloatArray, share: float) -> FloatArray:
@@ -138,16 +133,8 @@ def missing_floor(base: Base, excess: Excess) -> MissingFloor | None:
     if not (with_floor.min() > AGREES[0] and with_floor.max() < AGREES[1]):
         return None
     other = replace(base, problem=problem.with_weights(1 / (variance + added)))
-    left = standardise(other.thinned(MOST))
-    if left is None:
-        return None
-    (piece, where, _), *_ = left.problem.pieces()
-    chances = [
-        p
-        for columns in error_columns(piece, _vectors(piece), left.level)
-        for p in left.component_tests(columns, where).values()
-    ]
-    if combined(chances) < ALARM:
+    test = misfit_test_of(other)
+    if test is None or test.p < ALARM:
         return None
     dark = np.abs(base.f)[variance < added]
     return MissingFloor(float(np.sqrt(added)), float(dark.max(initial=0.0)))

@@ -204,6 +204,19 @@ def from_equal_area(x: ArrayLike, y: ArrayLike) -> FloatArray:
     return np.stack([x * scale, y * scale, 1 - q], axis=-1)
 
 
+def golden_fractions(n: int) -> FloatArray:
+    """n numbers that fill 0 to 1 evenly: multiples of the golden ratio, less whole numbers.
+
+    Samples that are chosen by them are spread over all, without the period of a scan or a grid.
+
+    Examples
+    --------
+    >>> golden_fractions(4).round(3).tolist()
+    [0.0, 0.618, 0.236, 0.854]
+    """
+    return (np.arange(n) * 0.6180339887498949) % 1.0
+
+
 def rotated(vectors: ArrayLike, psi: float | FloatArray) -> FloatArray:
     """Vectors (..., 3) seen from a frame turned by `psi` (...) about z: phi_new = phi - psi.
 

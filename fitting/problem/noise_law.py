@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, golden_fractions
 
 LEAST = 12  # samples from which a law can be told
 EXPLAINS = 0.02  # rms deviation, beyond rounding, up to which a law is that of u_brdf
@@ -116,8 +116,7 @@ def noise_law(value: FloatArray, u: FloatArray, f: FloatArray) -> NoiseLaw | Non
     if len(value) < LEAST or not np.all(u > 0) or not np.any(value):
         return None
     if len(value) > 2 * FEW:
-        # Multiples of the golden ratio: spread evenly, without the period of a scan.
-        some = ((np.arange(FEW) * 0.6180339887498949) % 1.0 * len(value)).astype(np.int64)
+        some = (golden_fractions(FEW) * len(value)).astype(np.int64)
         if noise_law(value[some], u[some], f[some]) is None:
             return None
     quantum = rounding(u)

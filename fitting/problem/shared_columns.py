@@ -8,7 +8,7 @@ import numpy as np
 
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.problem.shared_change import shared_change
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, golden_fractions
 
 
 def shared_columns(problem: Problem, p: FloatArray, f: FloatArray) -> Any:
@@ -37,8 +37,7 @@ def thinned(problem: Problem, most: int) -> Problem:
     """At most so many samples, spread evenly over all, with their cells and weights."""
     if problem.n <= most:
         return problem
-    # Multiples of the golden ratio: spread evenly, without the period of a scan.
-    index = (np.arange(most) * 0.6180339887498949) % 1.0 * problem.n
+    index = golden_fractions(most) * problem.n
     return problem.at(np.unique(index.astype(np.int64)))
 
 

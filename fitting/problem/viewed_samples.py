@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.geometry import Directions, FloatArray, rotated
+from gonio.geometry import Directions, FloatArray, golden_fractions, rotated
 from gonio.kernels import map_blocks
 from gonio.samples import BRDFSamples, Cells
 
@@ -115,8 +115,7 @@ def bright_and_even(value: FloatArray, n: int) -> NDArray[np.int64]:
 
     A narrow lobe is a small part of the hemisphere; an even choice alone could miss it.
     """
-    # Multiples of the golden ratio: spread evenly, without the period of a scan.
-    even = (np.arange(n // 2) * 0.6180339887498949) % 1.0 * len(value)
+    even = golden_fractions(n // 2) * len(value)
     taken = np.zeros(len(value), bool)
     taken[_brightest(value, n // 2)] = True
     taken[even.astype(np.int64)] = True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.geometry import Directions, FloatArray
+from gonio.geometry import Directions, FloatArray, golden_fractions
 from gonio.samples import ANGLES, BRDFSamples
 
 MIN_PAIRS = 12  # fewer reciprocal pairs do not decide on the quantity
@@ -156,8 +156,7 @@ def _in_bands(delta: FloatArray) -> Indices:
     """Samples in some bands of |phi_r - phi_i|, at least `MANY` of them."""
     band = (np.abs(delta) / BAND).astype(np.int64)
     counts = np.bincount(band)
-    # Multiples of the golden ratio: spread evenly, without the period of a grid.
-    order = np.argsort((np.arange(len(counts)) * 0.6180339887498949) % 1.0)
+    order = np.argsort(golden_fractions(len(counts)))
     chosen = np.zeros(len(counts), bool)
     chosen[order[: np.searchsorted(np.cumsum(counts[order]), MANY) + 1]] = True
     return np.flatnonzero(chosen[band])
@@ -216,8 +215,7 @@ def _partners(
     points = np.hstack([*have.vectors(), separation])
     wanted = np.hstack([*want.vectors(), separation])
     if enough is not None and len(group) > TRIED * enough:
-        # Multiples of the golden ratio: spread evenly, without the period of a scan.
-        index = (np.arange(TRIED * enough) * 0.6180339887498949) % 1.0 * len(group)
+        index = golden_fractions(TRIED * enough) * len(group)
         pairs = _found(points, wanted, np.unique(index.astype(np.int64)), tolerance)
         if len(pairs) >= enough:
             return pairs[:, 0], pairs[:, 1]

@@ -214,7 +214,7 @@ def golden_fractions(n: int) -> FloatArray:
     >>> golden_fractions(4).round(3).tolist()
     [0.0, 0.618, 0.236, 0.854]
     """
-    return (np.arange(n) * 0.6180339887498949) % 1.0
+    return np.asarray((np.arange(n) * 0.6180339887498949) % 1.0)
 
 
 def rotated(vectors: ArrayLike, psi: float | FloatArray) -> FloatArray:

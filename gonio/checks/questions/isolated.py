@@ -8,12 +8,12 @@ import numpy as np
 
 from gonio.checks.questions.base import Finding, Question
 from gonio.checks.questions.evidence import Evidence
+from gonio.checks.questions.single_values import away_from_lobes, standing_out
 
 FACTOR = 5.0  # times the largest of the values around it
 LEVEL = 3.0  # largest ratio among the values around it
 NEAR_DEG = 25.0  # to the farthest of the values around it
 AWAY_DEG = 8.0  # tilt from the mirror direction, and half the angle from the light
-GRAZING_DEG = 78.0
 IN_PLANE = 0.02  # sine of phi_r - phi_i: samples there stand in scans and are asked elsewhere
 SHARE = 0.02  # of the samples, above which it is the surface
 LEAST = 20  # samples
@@ -37,29 +37,19 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     stands = np.all(beside > 0, axis=1) & (evidence.value[some] > FACTOR * beside.max(axis=1))
     stands &= beside.max(axis=1) < LEVEL * beside.min(axis=1)
     stands &= cosine.min(axis=1) > np.cos(np.radians(NEAR_DEG))
-    phase = np.arccos(np.clip(np.sum(w_i[some] * w_r[some], axis=1), -1, 1))
-    half = w_i[some] + w_r[some]
-    length = np.maximum(np.linalg.norm(half, axis=1), 1e-12)
-    tilt = np.arccos(np.clip(half[:, 2] / length, -1, 1))
-    stands &= np.degrees(np.minimum(tilt, phase / 2)) > AWAY_DEG
-    steep = np.maximum(evidence.theta_i[some], evidence.theta_r[some])
-    stands &= np.degrees(steep) < GRAZING_DEG
+    stands &= away_from_lobes(evidence, some, AWAY_DEG)
     index = some[stands]
     index = index[[_above_its_like(evidence, k) for k in index.tolist()]]
     if not len(index) or len(index) > max(1, SHARE * evidence.n):
         return
     times = evidence.value[index] / np.median(evidence.value[evidence.neighbours[index]], axis=1)
-    span = f"{times.min():.2g}" + (f" to {times.max():.2g}" if len(index) > 1 else "")
-    one = len(index) == 1
-    yield Finding(
+    yield standing_out(
         "isolated",
-        "warning",
-        f"{len(index)} of {evidence.n} values {'is' if one else 'are'} {span} times the values "
-        f"around {'it' if one else 'them'} ({evidence.where(index)}), far from the mirror "
-        "direction and from the light: stray light or a reading error. Measure these again or "
-        "remove them.",
-        tuple(index.tolist()),
-        evidence.lines(index),
+        evidence,
+        index,
+        times,
+        "the values around {them}",
+        ", far from the mirror direction and from the light",
     )
 
 

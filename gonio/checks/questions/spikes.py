@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from gonio.checks.questions.base import Finding, Question
 from gonio.checks.questions.evidence import Evidence
-from gonio.geometry import FloatArray, angles, unit_vectors
+from gonio.checks.questions.single_values import away_from_lobes, standing_out
+from gonio.geometry import FloatArray
 
 FACTOR = 2.0  # times the larger of the values beside it
 SIGMAS = 8.0  # times the typical departure of ln f from the values beside it
 LEVEL = 3.0  # largest ratio among the four values around it
 GAP_DEG = 16.0  # between a sample and the second beside it
 AWAY_DEG = 4.0  # tilt from the mirror direction, and half the angle from the light
-GRAZING_DEG = 78.0
 IN_PLANE = 0.02  # sine of phi_r - phi_i
 SHARE = 0.05  # of the samples of the scans, above which it is noise
 LEAST = 20  # samples in scans
@@ -41,17 +41,12 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     index, times = index[np.log(times) > SIGMAS * scatter], times[np.log(times) > SIGMAS * scatter]
     if not len(index) or len(index) > max(1, SHARE * len(typical)):
         return
-    span = f"{times.min():.2g}" + (f" to {times.max():.2g}" if len(index) > 1 else "")
-    one = len(index) == 1
-    yield Finding(
+    yield standing_out(
         "spikes",
-        "warning",
-        f"{len(index)} of {evidence.n} values {'is' if one else 'are'} {span} times the values "
-        f"beside {'it' if one else 'them'} in the plane of incidence, which scatter by "
-        f"{scatter:.1%} ({evidence.where(index)}): stray light or a reading error. Measure these "
-        "again or remove them.",
-        tuple(index.tolist()),
-        evidence.lines(index),
+        evidence,
+        index,
+        times,
+        f"the values beside {{them}} in the plane of incidence, which scatter by {scatter:.1%}",
     )
 
 
@@ -82,15 +77,9 @@ def _stands_out(evidence: Evidence, scan: NDArray[np.int64]) -> NDArray[np.bool_
     stands: NDArray[np.bool_] = middle > FACTOR * np.maximum(around[1], around[2])
     stands &= np.all(around > 0, axis=0) & (around.max(axis=0) < LEVEL * around.min(axis=0))
     stands &= (side[4:] - side[2:-2] < GAP_DEG) & (side[2:-2] - side[:-4] < GAP_DEG)
-    w_i = unit_vectors(evidence.theta_i[own], evidence.phi_i[own])
-    w_r = unit_vectors(evidence.theta_r[own], evidence.phi_r[own])
-    half = angles(w_i + w_r)[0]
-    phase = np.arccos(np.clip(np.sum(w_i * w_r, axis=-1), -1, 1))
-    away = np.degrees(np.minimum(half, phase / 2)) > AWAY_DEG
-    steep = np.degrees(np.maximum(evidence.theta_i[own], evidence.theta_r[own])) < GRAZING_DEG
     if evidence.u is not None:
         stands &= middle - around.max(axis=0) > SIGMAS * evidence.u[own]
-    stands &= away & steep
+    stands &= away_from_lobes(evidence, own, AWAY_DEG)
     return stands
 
 

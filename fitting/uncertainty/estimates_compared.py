@@ -20,15 +20,14 @@ from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.residual_tests.misfit import MisfitTest
 from gonio.fitting.residual_tests.quadratic_forms import combined
 from gonio.fitting.uncertainty.allowance import Allowance
-from gonio.fitting.uncertainty.clustered import by_groups
 from gonio.fitting.uncertainty.covariance import Uncertainty
 from gonio.fitting.uncertainty.degrees_of_freedom import Spread
 from gonio.fitting.uncertainty.established import carriers, established
-from gonio.fitting.uncertainty.incidence_groups import FEWEST, incidence_groups
+from gonio.fitting.uncertainty.incidence_groups import incidence_groups
 from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.larger_of import larger_of
 from gonio.fitting.uncertainty.second_derivatives import SecondDerivatives
-from gonio.fitting.uncertainty.under_misfit import left_out, with_structure
+from gonio.fitting.uncertainty.under_misfit import left_out, with_incidences, with_structure
 from gonio.geometry import FloatArray
 
 ROUNDING = 1e-12  # of the variances of the parts: a difference is not known better
@@ -153,10 +152,7 @@ def _of_all(
     wrong = with_structure(problem, test)
     spread = left_out(separate, informed, SecondDerivatives(separate), wrong)
     group = incidence_groups(problem)
-    if len(np.unique(group[wrong])) >= FEWEST:
-        spread = larger_of(spread, by_groups(informed, group, wrong)[0])
-    if not wrong.all():
-        spread = spread + Spread.known(informed.of_noise(~wrong))
+    spread, _, _ = with_incidences(spread, informed, group, wrong, separate.noise_scale)
     if problem.weights == "sd":
         assert isinstance(problem, JointProblem)
         # Weights hold the scatter of each part; what is known is the stated noise.

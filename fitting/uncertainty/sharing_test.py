@@ -65,8 +65,9 @@ def sharing_test(
     dof = sum(_rank(own) for own in apart) - _rank(optimum)
     misfit = misfit_beyond_shared(whole)
     honest = allowing(whole, with_correlated_parts(whole, errors), misfit)
-    by_estimates = honest.allowance is not None
-    by_estimates |= residual_correlation(separate, whole.optimum.p) is not None
+    by_estimates = (
+        honest.allowance is not None or residual_correlation(separate, whole.optimum.p) is not None
+    )
     comparison = compared_estimates(whole, names, honest, misfit) if by_estimates else None
     p_value = None if comparison is None else comparison.p
     if not by_estimates and dof > 0:

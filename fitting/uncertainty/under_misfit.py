@@ -30,6 +30,7 @@ from gonio.fitting.uncertainty.larger_of import larger_of
 from gonio.fitting.uncertainty.loss_sandwich import informed_by_loss
 from gonio.fitting.uncertainty.sample_jackknife import by_samples
 from gonio.fitting.uncertainty.second_derivatives import SecondDerivatives
+from gonio.geometry import FloatArray
 
 # In place of `ALARM` with at most three incidences: a false alarm widens by 3 to 5 there.
 ALARM_OF_FEW = 0.001
@@ -93,14 +94,8 @@ def _of_misfit(
     else:
         assert errors.dof is not None
         informed, spread = informed_by_loss(minimum), Spread(errors.independent, errors.dof)
-    n_groups = len(np.unique(group[wrong]))
-    lone: tuple[str, ...] = ()
-    if n_groups >= FEWEST:
-        of_incidences, share = by_groups(informed, group, wrong)
-        spread = larger_of(spread, of_incidences)
-        lone = tuple(problem.parameters[j].name for j in np.flatnonzero(share > LONE))
-    if not wrong.all():
-        spread = spread + Spread.known(informed.of_noise(~wrong) * errors.noise_scale**2)
+    spread, n_groups, share = with_incidences(spread, informed, group, wrong, errors.noise_scale)
+    lone = tuple(problem.parameters[j].name for j in np.flatnonzero(share > LONE))
     if problem.weights == "sd" and problem.quadratic:
         spread = larger_of(Spread.known(informed.of_noise()), spread)
     basis: Literal["samples", "samples and incidences"] = "samples"
@@ -110,6 +105,43 @@ def _of_misfit(
     parts = (n_wrong, len(problem.pieces()))
     allowance = Allowance(basis, test.p, n_groups, lone=lone, parts=parts)
     return errors.with_spread(spread, allowance)
+
+
+def with_incidences(
+    spread: Spread,
+    informed: Informed,
+    group: NDArray[np.int64],
+    wrong: NDArray[np.bool_],
+    noise_scale: float,
+) -> tuple[Spread, int, FloatArray]:
+    """The covariance with incidences left out as well, and the noise of samples without structure.
+
+    Parameters
+    ----------
+    spread : Spread
+        By leaving out the samples that have structure.
+    informed : Informed
+    group : ndarray of int64, shape (N,)
+        Number of the incidence of each sample.
+    wrong : ndarray of bool, shape (N,)
+        Samples that have structure.
+    noise_scale : float
+
+    Returns
+    -------
+    Spread
+    n_groups : int
+        Incidences of these samples; fewer than `FEWEST` say nothing and are not left out.
+    share : ndarray, shape (P,)
+        Of each parameter's information that one incidence alone has, see `by_groups`.
+    """
+    n_groups, share = len(np.unique(group[wrong])), np.zeros(len(informed.back))
+    if n_groups >= FEWEST:
+        of_incidences, share = by_groups(informed, group, wrong)
+        spread = larger_of(spread, of_incidences)
+    if not wrong.all():
+        spread = spread + Spread.known(informed.of_noise(~wrong) * noise_scale**2)
+    return spread, n_groups, share
 
 
 def left_out(

@@ -34,7 +34,7 @@ def modules_in(package: str, *, private: bool = True) -> Iterator[ModuleType]:
     Examples
     --------
     >>> [module.__name__.rpartition(".")[2] for module in modules_in("gonio.formats")]
-    ['_signed_angles', '_text', 'cornell', 'gonio_csv', 'nist_ptfe', 'samples_nc']
+    ['_header', '_signed_angles', '_text', 'cornell', 'gonio_csv', 'nist_ptfe', 'samples_nc']
     """
     for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
         if private or not info.name.startswith("_"):

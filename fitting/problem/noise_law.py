@@ -138,7 +138,7 @@ def rounding(u: FloatArray) -> FloatArray:
     Examples
     --------
     >>> rounding(np.array([0.02, 0.3])).tolist(), rounding(np.array([0.021, 0.3])).tolist()
-    ([0.01, 0.1], [0.001, 0.001])
+    ([0.01, 0.1], [0.001, 0.01])
     """
     first = u[:FIRST]
     largest = np.floor(np.log10(np.max(u)) + 1e-9)

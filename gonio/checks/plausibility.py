@@ -88,7 +88,7 @@ def plausible(samples: BRDFSamples) -> Plausibility:
     --------
     >>> from gonio.geometry import Directions
     >>> theta = np.radians(np.arange(5.0, 65.0, 5.0))
-    >>> value = np.full(12, 0.1)
+    >>> value = 0.1 + 0.01 * theta
     >>> value[3] = -9999
     >>> found = plausible(BRDFSamples(Directions(0.3, 0.0, theta, 0.0), value))
     >>> len(found.samples), [finding.code for finding in found.findings]

@@ -62,9 +62,11 @@ read_noise_e = {read_noise_e}                # from pairs of covered frames
 dark_e_per_s = {dark_e_per_s}
 
 [standard]
-reflectance = {reflectance}                # certificate, 8 deg / hemispherical
+kind = "pi_f0"
+reflectance = {reflectance}                # certificate: pi f at the normal
 uncertainty = {uncertainty}               # certificate: 0.01 with k = 2
 rolloff = {rolloff}                     # certificate: loss at theta_r = 75 deg
+reciprocal = false                # certificate: no loss in theta_i
 
 [lamp]
 half_angle_deg = {half_angle_deg}

@@ -7,11 +7,12 @@ and never 0.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from gonio.certificate import Certificate
 
 SCHEMA = "gonio.session/1"
 
@@ -114,63 +115,6 @@ class Camera(_Record):
         le=2,
         description="response: counts above black are gain full_well (e-/full_well)^gamma",
     )
-
-
-class StandardTable(_Record):
-    """f of the standard over its reflectance/pi, on a grid of directions.
-
-    Linear interpolation; outside the grid the nearest value holds. A grid with one theta_i holds
-    for every incidence, one with one dphi for every azimuth.
-    """
-
-    theta_i_deg: tuple[float, ...] = Field(min_length=1, max_length=1000)
-    theta_r_deg: tuple[float, ...] = Field(min_length=1, max_length=1000)
-    dphi_deg: tuple[float, ...] = Field(
-        default=(0.0,), min_length=1, max_length=1000, description="phi_r - phi_i, 0 to 180"
-    )
-    factor: tuple[tuple[tuple[float, ...], ...], ...] = Field(
-        description="factor[theta_i][theta_r][dphi]"
-    )
-
-    @model_validator(mode="after")
-    def _complete(self) -> StandardTable:
-        axes = {
-            "theta_i_deg": (self.theta_i_deg, 90),
-            "theta_r_deg": (self.theta_r_deg, 90),
-            "dphi_deg": (self.dphi_deg, 180),
-        }
-        for name, (axis, end) in axes.items():
-            if any(b <= a for a, b in pairwise(axis)):
-                raise ValueError(f"{name} must grow")
-            if axis[0] < 0 or axis[-1] > end:
-                raise ValueError(f"{name} must lie in 0 to {end}")
-        shape = tuple(len(axis) for axis, _ in axes.values())
-        inner = {len(row) for page in self.factor for row in page}
-        given = (len(self.factor), {len(page) for page in self.factor}, inner)
-        if given != (shape[0], {shape[1]}, {shape[2]}):
-            raise ValueError(f"factor must have the shape {shape} of the three axes")
-        if min(min(row) for page in self.factor for row in page) <= 0:
-            raise ValueError("factor must be positive")
-        return self
-
-
-class Certificate(_Record):
-    """What is known of the white standard.
-
-    f = reflectance/pi (1 - rolloff (theta_r/75 deg)^4), or reflectance/pi times `table`.
-    """
-
-    reflectance: float = Field(gt=0, le=1)
-    uncertainty: float = Field(ge=0, description="relative standard uncertainty")
-    rolloff: float = Field(default=0.0, ge=0)
-    rolloff_uncertainty: float = Field(default=0.0, ge=0)
-    table: StandardTable | None = None
-
-    @model_validator(mode="after")
-    def _one(self) -> Certificate:
-        if self.rolloff and self.table is not None:
-            raise ValueError("give either rolloff or table")
-        return self
 
 
 class LampRecord(_Record):

@@ -20,6 +20,7 @@ from gonio.terms_of_0_1 import properties
 
 EFFECTS = {effect.key: effect for effect in all_effects()}
 PROPERTIES = ("evaluation", "averages", "constant", "belongs_to")
+SINCE_0_1 = {"standard_shape"}  # effects that version 0.1 did not have
 PLAN = Plan(theta_i_deg=(10.0, 50.0), rotations_deg=(0.0,), exposures_s=(1e-3,))
 
 
@@ -43,7 +44,8 @@ class TestRecord:
     def test_files_of_0_1_say_the_same_by_the_names_of_its_terms(self, key):
         for record in EFFECTS[key].records:
             expected = {name: getattr(record, name) for name in PROPERTIES} | {"effect": key}
-            assert properties(record.name.replace("mode N", "mode 2")) == expected
+            found = properties(record.name.replace("mode N", "mode 2"))
+            assert found == ({} if key in SINCE_0_1 else expected)
 
 
 def test_no_two_effects_have_one_place():

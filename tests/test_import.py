@@ -204,6 +204,7 @@ def test_the_template_parses_and_names_every_key():
     table = SessionTable.model_validate(tomllib.loads(TEMPLATE))
     assert table.camera.gain_dn_per_e == 0.38
     named = set(re.findall(r"^(?:# )?(?:\[+)?([\w.]+?)(?: =|\]+$| *\]+ )", TEMPLATE, re.MULTILINE))
+    named |= {name.rpartition(".")[2] for name in named}  # brdf.u_brdf
 
     def keys(record):
         for name, field in record.model_fields.items():

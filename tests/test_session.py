@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from gonio.certificate import Certificate
 from gonio.errors import ConfigurationError, DataError
 from gonio.metadata import (
     Camera,
-    Certificate,
     Geometry,
     LampRecord,
     LensCalibration,

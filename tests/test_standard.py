@@ -14,10 +14,11 @@ from gonio.calibration.frames.standard import (
     standard_brdf,
     variances,
 )
+from gonio.certificate import Certificate, StandardTable
 from gonio.errors import ConfigurationError
 from gonio.instrument import preset
 from gonio.instrument.records import metadata
-from gonio.metadata import Certificate, Metadata, Plan, StandardTable
+from gonio.metadata import Metadata, Plan
 
 
 def test_standard_brdf_is_the_factor_of_eq_2():
@@ -96,16 +97,17 @@ def test_a_grazing_lamp_is_refused_where_its_irradiance_is_computed():
 
 
 def test_the_history_says_what_is_taken_for_known_of_the_standard():
-    assert describe(known()) == "eq. (2) with a standard of 0.99"
+    assert describe(known()) == "eq. (2) with a standard of pi f(0 deg) = 0.99"
     assert describe(known(standard_theta_i_deg=10)) == (
-        "eq. (2) with a standard of 0.99, taken at 10 deg: irradiance by cos(10 deg)/cos(theta_i), "
-        "lamp spot and dome taken as equal; relative uncertainty: unknown, not included"
+        "eq. (2) with a standard of pi f(0 deg) = 0.99, taken at 10 deg: irradiance by "
+        "cos(10 deg)/cos(theta_i), lamp spot and dome taken as equal; relative uncertainty: "
+        "unknown, not included"
     )
     through = known("transmission", 10.0, transmittance=0.45, u_irradiance=0.02)
     assert describe(through) == (
-        "eq. (2) with a standard of 0.99, taken in reflection at 10 deg: irradiance by T_d cos(10 "
-        "deg)/cos(theta_i) with T_d = 0.45, lamp spot and dome taken as equal; relative "
-        "uncertainty: 0.02"
+        "eq. (2) with a standard of pi f(0 deg) = 0.99, taken in reflection at 10 deg: irradiance "
+        "by T_d cos(10 deg)/cos(theta_i) with T_d = 0.45, lamp spot and dome taken as equal; "
+        "relative uncertainty: 0.02"
     )
 
 

@@ -31,6 +31,7 @@ BARE_NAMES = {name.removeprefix("gonio.") for name in ROOT_FOLDERS}
 # ---------------------------------------------------------------- direction of imports
 
 FOUNDATION = {"_version", "discovery", "errors", "files", "geometry", "progress", "wording"}
+RECORDS = {"metadata", "certificate"}
 SURFACE = FOUNDATION | {"kernels", "models", "samples", "shared_term", "data"}
 ALL = {"*"}
 
@@ -50,19 +51,21 @@ ALLOWED = {
     "terms_of_0_1": set(),
     "shared_term": {"geometry", "terms_of_0_1"},
     "samples": FOUNDATION | {"shared_term"},
-    "metadata": {"errors", "wording"},
+    "certificate": set(),
+    "metadata": {"errors", "wording", "certificate"},
     "board": FOUNDATION,
     "session": FOUNDATION | {"metadata"},
     "plan_file": FOUNDATION | {"metadata"},
     "data": {"errors", "files"},
     "checks": {"errors", "wording", "discovery", "geometry", "samples", "models"},
     "materials": SURFACE,
-    "instrument": SURFACE | {"session", "metadata", "materials", "board"},
+    "instrument": SURFACE | RECORDS | {"session", "materials", "board"},
     "simulation": SURFACE | {"session", "metadata", "materials", "instrument", "plan_file"},
-    "rig": SURFACE | {"session", "metadata", "checks", "calibration"},
+    "rig": SURFACE | RECORDS | {"session", "checks", "calibration"},
     # The reducer never sees the truth, the fitter never sees the inside of the instrument.
     "calibration": FOUNDATION
-    | {"session", "metadata", "samples", "shared_term", "board", "kernels.threads"},
+    | RECORDS
+    | {"session", "samples", "shared_term", "board", "kernels.threads"},
     "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels", "checks"},
     "planning": SURFACE
     | {"session", "metadata", "instrument", "simulation", "calibration", "fitting", "plan_file"},

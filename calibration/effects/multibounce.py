@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
+from gonio.calibration.frames.certified import total_reflectance
 from gonio.calibration.image_cells import ImageCells
 from gonio.geometry import FloatArray
 from gonio.metadata import Metadata
@@ -54,7 +55,7 @@ def corrected(metadata: Metadata, parts: list[ImageCells]) -> list[ImageCells]:
     if not is_corrected(metadata):
         return parts
     g, u_g = metadata.limits.multibounce or 0.0, metadata.limits.u_multibounce or 0.0
-    rho_std = metadata.standard.reflectance
+    rho_std = total_reflectance(metadata.standard)
     images: dict[tuple[int, int, int], list[ImageCells]] = {}
     for part in parts:
         images.setdefault((part.channel, part.incidence, part.rotation), []).append(part)
@@ -83,7 +84,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
     constant = metadata.limits.u_multibounce is None
     if not is_corrected(metadata):
         # For any albedo the error is at most this.
-        yield RECORD.shared(g * metadata.standard.reflectance, constant=constant)
+        yield RECORD.shared(g * total_reflectance(metadata.standard), constant=constant)
         return
     left: FloatArray = np.repeat(
         [part.left for part in images], [part.means.shape[1] for part in images]

@@ -1,13 +1,12 @@
-"""The uncertainty of the white standard's certificate: reflectance and angular shape."""
+"""The uncertainty of what the white standard's certificate states: its number and its rolloff."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord
-from gonio.geometry import angles
+from gonio.calibration.effects.standard_shape import standard_directions
+from gonio.calibration.frames.certified import rolloff_profile
 from gonio.shared_term import SharedTerm
 
 SCALE = TermRecord("standard", "reflectance of the white standard")
@@ -19,29 +18,31 @@ SHAPE = TermRecord(
 
 
 def terms(measured: Measured) -> Iterator[SharedTerm]:
-    """One factor on all values, and one that grows with theta_r."""
+    """One factor on all values, and one that grows with the polar angles."""
     certificate = measured.metadata.standard
     if certificate.uncertainty:
         yield SCALE.shared(certificate.uncertainty)
     if certificate.rolloff_uncertainty:
-        theta_r = angles(measured.centroid)[0]
-        yield SHAPE.shared(certificate.rolloff_uncertainty, profile=(theta_r / np.radians(75)) ** 4)
+        theta_i, theta_r, _ = standard_directions(measured)
+        profile = rolloff_profile(certificate, theta_i, theta_r)
+        yield SHAPE.shared(certificate.rolloff_uncertainty, profile=profile)
 
 
 EFFECT = Effect(
     key="standard_certificate",
     order=60,
     title="white standard",
-    text="All values are proportional to the certified reflectance of the standard. At high "
-    "theta_r the standard may depart from a Lambertian one, within the certificate's uncertainty.",
+    text="All values are proportional to the certified number of the standard: pi f(0 deg), the "
+    "total reflectance, the factor 0/45, or a list of f. The shape of f turns it into f in other "
+    "directions. A certified rolloff may be off within its uncertainty.",
     records=(SCALE, SHAPE),
     terms=terms,
     quantities=(
         StatedQuantity(
-            "relative uncertainty of the standard's reflectance", "standard.uncertainty"
+            "relative uncertainty of the standard's certificate", "standard.uncertainty"
         ),
         StatedQuantity(
-            "uncertainty of the standard's shape, at 75°", "standard.rolloff_uncertainty"
+            "uncertainty of the standard's rolloff, at 75°", "standard.rolloff_uncertainty"
         ),
     ),
 )

@@ -33,7 +33,8 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     if not spread:
         return
     i, most = max(spread.items(), key=lambda each: each[1])
-    if most > SHAPE + evidence.metadata.standard.rolloff_uncertainty:
+    certificate = evidence.metadata.standard
+    if most > SHAPE + certificate.rolloff_uncertainty + (certificate.u_shape or 0.0):
         yield Finding(
             "wrong_standard",
             "warning",

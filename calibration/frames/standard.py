@@ -17,10 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
+from gonio.calibration.frames import certified
+from gonio.calibration.frames.certified import estimate
 from gonio.calibration.frames.exposure import Rate
+from gonio.certificate import Certificate
 from gonio.errors import ConfigurationError
 from gonio.geometry import FloatArray
-from gonio.metadata import Certificate, Metadata, StandardTable
+from gonio.metadata import Metadata
 
 # Stray light that is so much more of the standard's signal than elsewhere marks the entry patch.
 ENTRY_SHARE = 0.1
@@ -86,7 +89,7 @@ def standard_brdf(
     Parameters
     ----------
     certificate : Certificate
-        The standard's reflectance, with its rolloff or its table.
+        What is certified, and the shape by which it becomes f.
     theta_i : float
         Incidence at which the standard was taken, radians.
     theta_r, dphi : array_like
@@ -98,38 +101,7 @@ def standard_brdf(
     >>> round(float(standard_brdf(flat, 0.5, 0.3, 0.0)), 6)
     0.315127
     """
-    if certificate.table is not None:
-        factor = _interpolated(certificate.table, theta_i, theta_r, dphi)
-    else:
-        factor = 1 - certificate.rolloff * (np.asarray(theta_r, float) / np.radians(75)) ** 4
-    return np.asarray(certificate.reflectance / np.pi * factor)
-
-
-def _interpolated(
-    table: StandardTable, theta_i: float, theta_r: ArrayLike, dphi: ArrayLike
-) -> FloatArray:
-    """Trilinear; the nearest value holds outside the grid."""
-    values = np.array(table.factor)
-    # f is the same on either side of the plane of incidence: 0 to 180 deg hold all.
-    aside = np.abs((np.degrees(dphi) + 180) % 360 - 180)
-    i, j, w = _bracket(table.theta_i_deg, np.degrees(theta_i))
-    page = values[i] * (1 - w) + values[j] * w
-    a, b, u = _bracket(table.theta_r_deg, np.degrees(theta_r))
-    c, d, v = _bracket(table.dphi_deg, aside)
-    low = page[a, c] * (1 - v) + page[a, d] * v
-    high = page[b, c] * (1 - v) + page[b, d] * v
-    return np.asarray(low * (1 - u) + high * u)
-
-
-def _bracket(
-    axis: tuple[float, ...], x: ArrayLike
-) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Indices of the neighbours of x on the axis, and the weight of the upper one."""
-    grid, x = np.array(axis), np.asarray(x, float)
-    lower = np.clip(np.searchsorted(grid, x, side="right") - 1, 0, max(len(grid) - 2, 0))
-    upper = np.minimum(lower + 1, len(grid) - 1)
-    step = np.where(upper > lower, grid[upper] - grid[lower], 1.0)
-    return lower, upper, np.clip((x - grid[lower]) / step, 0, 1)
+    return estimate(certificate).brdf(theta_i, theta_r, dphi)
 
 
 def irradiance_ratio(metadata: Metadata, theta_i: float) -> float:
@@ -181,12 +153,8 @@ def irradiance_ratio(metadata: Metadata, theta_i: float) -> float:
 
 def describe(metadata: Metadata) -> str:
     """One line of the history: which standard eq. (2) used."""
-    plan, certificate = metadata.plan, metadata.standard
-    text = f"eq. (2) with a standard of {certificate.reflectance:g}"
-    if certificate.table is not None:
-        text += ", f of its table by direction"
-    elif certificate.rolloff:
-        text += f", less {certificate.rolloff:g} (theta_r/75 deg)^4"
+    plan = metadata.plan
+    text = f"eq. (2) with a standard of {certified.describe(metadata.standard)}"
     if plan.standard_theta_i_deg is None:
         return text
     way = " in reflection" if plan.mode == "transmission" else ""

@@ -85,7 +85,7 @@ class Images:
         self.fixed, self.threads = fixed, threads
         self.rays = imaging.trace_rays(instrument, fixed.dome_seed, threads=threads)
         self.white = imaging.white_rate(instrument, self.rays)
-        self._f_standard = imaging.standard_brdf(instrument, self.rays)
+        self._f_standard: tuple[float | None, FloatArray] = (None, self.white)
         self._response = instrument.sensor.response(fixed.pattern_seed).ravel()
         self._turned: tuple[float | None, FloatArray] = (None, self.rays.w_r)
         mean = self.rays.w_r.mean(axis=1)
@@ -136,10 +136,18 @@ class Images:
     def _standard(self, theta_i: float) -> FloatArray:
         instrument, scale = self.instrument, self.fixed.standard_scale
         weights = imaging.lit_weights(instrument, self.rays, theta_i)
-        f = scale * np.einsum("ij,ij->i", weights, self._f_standard)
+        f = scale * np.einsum("ij,ij->i", weights, self._standard_brdf(theta_i))
         rho = scale * instrument.standard.reflectance
         gain = imaging.multibounce_gain(instrument, rho, self.fixed.multibounce_scale)
         return np.asarray(self.white * self._irradiance(theta_i) * np.pi * f * gain)
+
+    def _standard_brdf(self, theta_i: float) -> FloatArray:
+        """f of the standard for every ray; kept for the next image where it does not change."""
+        at = theta_i if self.instrument.standard.shape.depends_on_incidence else 0.0
+        if self._f_standard[0] != at:
+            f = imaging.standard_brdf(self.instrument, self.rays, at)
+            self._f_standard = (at, f)
+        return self._f_standard[1]
 
     def _sample(self, model: Model, theta_i: float, psi: float, *, below: bool) -> list[FloatArray]:
         """Light from the sample, for each channel; f of equal parameters is computed once."""
@@ -176,7 +184,9 @@ class Images:
         if not instrument.surroundings.ambient_reflected or role == "background":
             return [direct] * n
         if role == "standard":
-            shown = np.pi * self.fixed.standard_scale * self._f_standard.mean(axis=1)
+            shown = self.fixed.standard_scale * imaging.standard_in_even_light(
+                instrument, self.rays
+            )
             return [direct + imaging.reflected_ambient_rate(instrument, self.rays, shown)] * n
         if self.surface.model is None or self.plan.mode == "transmission":
             # The room's image in a mirror and the reflection of a transmitting sheet are unknown.

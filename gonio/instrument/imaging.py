@@ -354,10 +354,30 @@ def reflected_ambient_rate(
     return np.asarray(share * reflectance * white_rate(instrument, rays))
 
 
-def standard_brdf(instrument: Instrument, rays: Rays) -> FloatArray:
-    """f of the white standard for every ray (n, rays), sr^-1."""
-    z = instrument.holder.on_surface(rays.w_r)[..., 2]
-    return instrument.standard.brdf(np.arccos(np.clip(z, 0, 1)))
+def standard_brdf(instrument: Instrument, rays: Rays, theta_i: float) -> FloatArray:
+    """f of the white standard for every ray (n, rays), sr^-1.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    rays : Rays
+    theta_i : float
+        Angle of the lamp, radians.
+    """
+    w_r = instrument.holder.on_surface(rays.w_r)
+    theta_r = np.arccos(np.clip(w_r[..., 2], 0, 1))
+    if not instrument.standard.shape.depends_on_incidence:
+        return instrument.standard.brdf(0.0, theta_r, 0.0)
+    w_i = instrument.holder.on_surface(instrument.lamp.directions(theta_i, rays.source))
+    theta_l, phi_l = angles(w_i)
+    return instrument.standard.brdf(theta_l, theta_r, np.arctan2(w_r[..., 1], w_r[..., 0]) - phi_l)
+
+
+def standard_in_even_light(instrument: Instrument, rays: Rays) -> FloatArray:
+    """Hemispherical-directional reflectance of the white standard in each pixel (n,)."""
+    w_r = instrument.holder.on_surface(rays.w_r)
+    theta_r = np.arccos(np.clip(w_r[..., 2], 0, 1))
+    return np.asarray(instrument.standard.even_light(theta_r).mean(axis=1))
 
 
 def in_sample_frame(instrument: Instrument, vectors: FloatArray, psi: float) -> FloatArray:

@@ -6,7 +6,6 @@ from gonio.instrument import Instrument
 from gonio.metadata import (
     SCHEMA,
     Camera,
-    Certificate,
     Channel,
     Geometry,
     LampRecord,
@@ -36,7 +35,7 @@ def metadata(instrument: Instrument, plan: Plan, sample: str, fingerprint: str) 
         geometry=_geometry(instrument),
         lens=_lens(instrument),
         camera=_camera(instrument),
-        standard=_certificate(instrument),
+        standard=instrument.standard.certificate(),
         lamp=_lamp(instrument, plan),
         limits=_limits(instrument),
         plan=plan,
@@ -102,16 +101,6 @@ def _camera(instrument: Instrument) -> Camera:
         noise_dn=sensor.binned_noise_dn,
         dark_e_per_s=sensor.dark_e_per_s * sensor.n_summed,
         gamma=sensor.gamma,
-    )
-
-
-def _certificate(instrument: Instrument) -> Certificate:
-    standard = instrument.standard
-    return Certificate(
-        reflectance=standard.reflectance,
-        uncertainty=standard.uncertainty,
-        rolloff=standard.rolloff if standard.rolloff_certified else 0.0,
-        rolloff_uncertainty=standard.rolloff_uncertainty,
     )
 
 

@@ -323,6 +323,7 @@ def _session_rows(session: Session | None) -> Iterable[tuple[str, Any]]:
     if session is None:
         return []
     from gonio.calibration.effects import all_effects
+    from gonio.calibration.frames import certified
 
     m, plan = session.metadata, session.metadata.plan
     g = m.geometry
@@ -334,7 +335,7 @@ def _session_rows(session: Session | None) -> Iterable[tuple[str, Any]]:
         ("incidences", _degrees(plan.theta_i_deg)),
         ("turns of the sample", _degrees(plan.rotations_deg)),
         ("exposures", ", ".join(f"{1e3 * t:.4g}" for t in plan.exposures_s) + " ms"),
-        ("reflectance of the white standard", f"{m.standard.reflectance:g}"),
+        ("white standard", certified.describe(m.standard)),
         *((each.words, each.text(m)) for effect in all_effects() for each in effect.quantities),
     ]  # fmt: skip
 

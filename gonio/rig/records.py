@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from gonio._version import __version__
+from gonio.certificate import Certificate
 from gonio.errors import ConfigurationError, DataError
-from gonio.metadata import SCHEMA, Camera, Certificate, LensCalibration, Metadata, Uncertain
+from gonio.metadata import SCHEMA, Camera, LensCalibration, Metadata, Uncertain
 from gonio.rig.headers import Header
 from gonio.rig.pictures import Sampling
 from gonio.rig.raw import RawHeader
@@ -235,16 +236,25 @@ def _certificate(rig: RigFile, done: list[str]) -> Certificate:
             f"standard: f of {standard.model} ({values}), tabulated within {max(error, 1e-8):.1g} "
             f"of its value; reflectance {reflectance:.4f} at 8 deg"
         )
-    if reflectance is None:
+    if reflectance is None and standard.brdf is None:
         raise ConfigurationError(
             f"{rig.path}: standard.reflectance is missing; "
             f"{HOW_TO_MEASURE['standard.reflectance']}, or give a model of it.",
             value="reflectance",
         )
-    return Certificate(
-        reflectance=reflectance,
-        uncertainty=standard.uncertainty,
-        rolloff=standard.rolloff,
-        rolloff_uncertainty=standard.rolloff_uncertainty,
-        table=table,
-    )
+    try:
+        return Certificate(
+            kind=standard.kind,
+            reflectance=reflectance,
+            uncertainty=standard.uncertainty,
+            rolloff=standard.rolloff,
+            reciprocal=standard.reciprocal,
+            rolloff_uncertainty=standard.rolloff_uncertainty,
+            u_shape=standard.u_shape,
+            table=table,
+            brdf=standard.brdf,
+        )
+    except ValidationError as error:
+        raise ConfigurationError(
+            f"{rig.path}: standard: {sentence(error)}", value="standard"
+        ) from None

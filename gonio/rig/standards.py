@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 import gonio.models as models
+from gonio.certificate import StandardTable
 from gonio.errors import ConfigurationError
 from gonio.geometry import Directions, FloatArray
-from gonio.metadata import StandardTable
 from gonio.models import Model
 from gonio.models.albedo import directional_albedo
 

@@ -11,7 +11,8 @@ from itertools import pairwise
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gonio.metadata import Geometry, LampRecord, LensCalibration, Limits, Plan, StandardTable
+from gonio.certificate import Kind, ListedBRDF, StandardTable
+from gonio.metadata import Geometry, LampRecord, LensCalibration, Limits, Plan
 from gonio.rig.raw import Plane
 
 # How to measure a value that must be given, by table and key.
@@ -86,16 +87,34 @@ class CameraTable(_Table):
 class StandardRecord(_Table):
     """What the certificate of the white standard says.
 
-    f = reflectance/pi (1 - rolloff (theta_r/75 deg)^4), or reflectance/pi times `table`, or the f
+    The number `reflectance` is of one `kind`, or `brdf` lists f. The shape over the directions is
+    1 - rolloff (theta_r/75 deg)^4, and the same in theta_i if it is reciprocal, or `table`, or that
     of a model, which is tabulated when the frames are imported.
     """
 
+    kind: Kind = Field(
+        default="pi_f0",
+        description="what is certified: pi_f0, total (8 deg/hemispherical), 0/45, or brdf_table",
+    )
     reflectance: float | None = Field(
-        default=None, gt=0, le=1, description="left out where a model is given"
+        default=None, gt=0, le=1.2, description="left out where a model or brdf is given"
     )
     uncertainty: float = Field(ge=0, description="relative standard uncertainty")
-    rolloff: float = Field(default=0.0, ge=0, description="loss at theta_r = 75 deg")
+    rolloff: float | None = Field(
+        default=None, ge=0, lt=1, description="loss at theta_r = 75 deg; 0 is Lambertian"
+    )
+    reciprocal: bool | None = Field(
+        default=None, description="whether the same loss holds in theta_i"
+    )
     rolloff_uncertainty: float = Field(default=0.0, ge=0, description="standard uncertainty of it")
+    u_shape: float | None = Field(
+        default=None,
+        ge=0,
+        lt=1,
+        description="relative standard uncertainty of f at 75 deg against f at the normal, "
+        "where nobody certified the shape",
+    )
+    brdf: ListedBRDF | None = Field(default=None, description="f at certified geometries")
     table: StandardTable | None = Field(default=None, description="f over reflectance/pi")
     model: str | None = Field(default=None, description="a model of 'gonio models', isotropic")
     parameters: dict[str, float] = Field(
@@ -105,9 +124,10 @@ class StandardRecord(_Table):
     @model_validator(mode="after")
     def _one(self) -> StandardRecord:
         ways = {
-            "rolloff": self.rolloff > 0,
+            "rolloff": bool(self.rolloff),
             "table": self.table is not None,
             "model": self.model is not None,
+            "brdf": self.brdf is not None,
         }
         given = [name for name, is_given in ways.items() if is_given]
         if len(given) > 1:
@@ -116,6 +136,8 @@ class StandardRecord(_Table):
             raise ValueError("parameters belong to a model; give model as well")
         if self.model is not None and self.reflectance is not None:
             raise ValueError("a model states the reflectance by its parameters; leave it out")
+        if self.model is not None and self.kind != "pi_f0":
+            raise ValueError("a model states f itself; leave kind out")
         return self
 
 

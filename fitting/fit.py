@@ -32,6 +32,7 @@ from gonio.fitting.residual_tests.whitened import Base
 from gonio.fitting.result import FitResult, PosteriorSummary, plain
 from gonio.fitting.screening import screened
 from gonio.fitting.uncertainty.at_minimum import honest_uncertainties
+from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.intervals import covariance, estimated, noiseless, with_quantiles
 from gonio.fitting.uncertainty.nuisance import nuisance_estimates, pull_warnings
 from gonio.fitting.uncertainty.reported import all_covariances, all_estimates
@@ -243,9 +244,10 @@ def _inferred(minimum: Minimum, chain: Chain | None, file: str | None, note: str
     squares = minimum.as_least_squares()  # its residuals are those that the loss sees
     base = Base.of(squares)
     test = misfit_beyond_shared(squares, base)
-    errors, undetected = honest_uncertainties(minimum, test)
+    informed_by = Informed.once(squares)
+    errors, undetected = honest_uncertainties(minimum, test, informed_by)
     estimates, bound_warnings = estimated(minimum, errors, test)
-    support = {} if noiseless(minimum) else supports(minimum, estimates)
+    support = {} if noiseless(minimum) else supports(minimum, estimates, informed_by)
     for name, carried in support.items():
         estimates[name] = replace(estimates[name], established=not carried.reasons)
     verdict, diagnostics, residual_warnings = diagnose(squares, base)

@@ -19,7 +19,7 @@ from gonio.fitting.uncertainty.degrees_of_freedom import Spread
 from gonio.fitting.uncertainty.incidence_groups import incidence_groups
 from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.larger_of import larger_of
-from gonio.fitting.uncertainty.sample_jackknife import by_samples, effective_samples
+from gonio.fitting.uncertainty.sample_jackknife import by_samples
 from gonio.fitting.uncertainty.second_derivatives import SecondDerivatives
 from gonio.geometry import Directions
 from gonio.samples import BRDFSamples, SharedTerm
@@ -112,7 +112,7 @@ def test_degrees_of_freedom_are_those_of_the_dense_form(linear):
     minimum, x, _ = linear
     bread = np.linalg.inv(x.T @ x)
     hat = x @ bread @ x.T
-    number = effective_samples(Informed.of(minimum))
+    number = Informed.of(minimum).effective_samples
     for j in range(2):
         a = (x @ bread)[:, j] / (1 - np.diag(hat))
         form = a[:, None] * (np.eye(len(a)) - hat) * a

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +52,11 @@ class Support:
     reasons: tuple[str, ...]
 
 
-def supports(minimum: Minimum, estimates: Mapping[str, Estimate]) -> dict[str, Support]:
+def supports(
+    minimum: Minimum,
+    estimates: Mapping[str, Estimate],
+    informed_by: Callable[[], Informed] | None = None,
+) -> dict[str, Support]:
     """What carries each parameter that has a standard uncertainty, by its name.
 
     Parameters
@@ -60,13 +64,15 @@ def supports(minimum: Minimum, estimates: Mapping[str, Estimate]) -> dict[str, S
     minimum : Minimum
     estimates : mapping of str to Estimate
         Of the unknowns, radians for angles.
+    informed_by : callable, optional
+        `Informed.once` of the minimum as least squares, where others need it as well.
     """
     minimum = minimum.as_least_squares()
     problem = minimum.problem
     wanted = [j for j, q in enumerate(problem.parameters) if estimates[q.name].stderr is not None]
     if not wanted or len(problem.parameters) > MOST:
         return {}
-    informed = Informed.of(minimum)
+    informed = (informed_by or Informed.once(minimum))()
     gain = informed.gain
     number, leverage = carriers(informed)
     angles: FloatArray | None = None

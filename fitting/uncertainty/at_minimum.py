@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from gonio.fitting.minimum.record import CHI2_95, Minimum
 from gonio.fitting.residual_tests.misfit import MisfitTest
 from gonio.fitting.uncertainty import covariance as uncertainty
 from gonio.fitting.uncertainty.correlated_parts import with_correlated_parts
+from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.profile_likelihood import around
 from gonio.fitting.uncertainty.under_misfit import allowing
 
@@ -25,7 +27,7 @@ def uncertainties(minimum: Minimum) -> tuple[uncertainty.Uncertainty, list[str]]
 
 
 def honest_uncertainties(
-    minimum: Minimum, test: MisfitTest | None
+    minimum: Minimum, test: MisfitTest | None, informed_by: Callable[[], Informed] | None = None
 ) -> tuple[uncertainty.Uncertainty, list[str]]:
     """The same with what the residuals show of the model and of the noise allowed for.
 
@@ -34,9 +36,11 @@ def honest_uncertainties(
     minimum : Minimum
     test : MisfitTest or None
         Of its residuals for structure.
+    informed_by : callable, optional
+        `Informed.once` of the minimum, where others need it as well.
     """
     errors = with_correlated_parts(minimum, uncertainty.evaluate(minimum))
-    return _without_undetected(minimum, allowing(minimum, errors, test))
+    return _without_undetected(minimum, allowing(minimum, errors, test, informed_by))
 
 
 def _without_undetected(

@@ -11,9 +11,10 @@ from gonio.fitting.minimum.curvature import inverse_curvature, where_determined
 from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty import covariance as uncertainty
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, unit_vectors
 
 CORRELATED = 0.1  # mean correlation of the parts' residuals that is no chance
+FIRST = 16  # directions that are compared before all are
 SAME = 1e-3  # directions, as unit vectors, that are the same
 
 
@@ -69,10 +70,21 @@ def _same_directions(problem: Problem) -> bool:
     first, *others = (part for part, _, _ in problem.pieces())
     return bool(others) and all(
         part.n == first.n
+        and _first_alike(part, first)
         and np.allclose(part.w_i, first.w_i, atol=SAME)
         and np.allclose(_centroids(part), _centroids(first), atol=SAME)
         for part in others
     )
+
+
+def _first_alike(part: Problem, first: Problem) -> bool:
+    """Whether the first viewing directions are the same; few parts need all be compared then."""
+    ends = []
+    for own in (part, first):
+        d = own.samples.directions
+        angles = (np.broadcast_to(angle, (own.n,))[:FIRST] for angle in (d.theta_r, d.phi_r))
+        ends.append(unit_vectors(*angles))
+    return np.allclose(*ends, atol=SAME)
 
 
 def _centroids(part: Problem) -> FloatArray:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty.degrees_of_freedom import Spread
 from gonio.fitting.uncertainty.informed import Informed
-from gonio.fitting.uncertainty.sample_jackknife import effective_samples, newton_steps
+from gonio.fitting.uncertainty.sample_jackknife import newton_steps
 from gonio.fitting.uncertainty.second_derivatives import Block
 from gonio.geometry import FloatArray
 
@@ -76,7 +76,7 @@ def by_directions(
             np.add.at(rest, direction[one.samples] - start, _bent(informed, one))
         changes = newton_steps(rest, score) @ informed.back.T
         total += changes.T @ changes
-    return Spread(total, effective_samples(_in_common(informed, direction, every)))
+    return Spread(total, _in_common(informed, direction, every).effective_samples)
 
 
 def _bent(informed: Informed, block: Block) -> FloatArray:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.uncertainty.informed import Informed
-from gonio.fitting.uncertainty.sample_jackknife import effective_samples
 from gonio.geometry import FloatArray
 
 ENOUGH = 10.0  # effective samples by which a parameter is established
@@ -21,7 +20,7 @@ def carriers(informed: Informed) -> tuple[FloatArray, FloatArray]:
     """
     weight = informed.gain**2
     total = np.maximum(weight.sum(axis=0), 1e-300)
-    return effective_samples(informed), np.asarray(informed.leverage @ weight / total)
+    return informed.effective_samples, np.asarray(informed.leverage @ weight / total)
 
 
 def established(number: FloatArray, leverage: FloatArray) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ uncertainties that fits under misfit state, and with the errors that parts have 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +53,11 @@ class Comparison:
 
 
 def compared_estimates(
-    separate: Minimum, names: Sequence[str], errors: Uncertainty, test: MisfitTest | None
+    separate: Minimum,
+    names: Sequence[str],
+    errors: Uncertainty,
+    test: MisfitTest | None,
+    informed_by: Callable[[], Informed],
 ) -> Comparison | None:
     """Compare what the parts say of each shared parameter alone.
 
@@ -69,6 +73,8 @@ def compared_estimates(
         Of the separate estimates, with what the residuals show allowed for.
     test : MisfitTest or None
         The test of structure by which `errors` allows for misfit.
+    informed_by : callable
+        `Informed.once` of the separate fits.
 
     Notes
     -----
@@ -77,11 +83,11 @@ def compared_estimates(
     once. An error that two parts have in common (at one direction, at one incidence) moves both
     and leaves their difference alone. Student's t with its degrees of freedom gives the chance.
     """
-    carried = established(*carriers(Informed.of(separate)))
+    carried = established(*carriers(informed_by()))
     combinations = _contrasts(separate.problem, names, errors, carried)
     if len(combinations) == 0:
         return None
-    spread = _spread(separate, combinations, errors, test)
+    spread = _spread(separate, combinations, errors, test, informed_by)
     for moves in errors.shared.values():
         of_differences = moves @ combinations.T
         spread = spread + Spread.known(of_differences.T @ of_differences)
@@ -125,7 +131,11 @@ def _contrasts(
 
 
 def _spread(
-    separate: Minimum, combinations: FloatArray, errors: Uncertainty, test: MisfitTest | None
+    separate: Minimum,
+    combinations: FloatArray,
+    errors: Uncertainty,
+    test: MisfitTest | None,
+    informed_by: Callable[[], Informed],
 ) -> Spread:
     """Covariance of the combinations by what is independent."""
     allowance = errors.allowance
@@ -137,7 +147,7 @@ def _spread(
         return Spread(covariance, np.full(len(covariance), float(np.nanmin(errors.dof))))
     # The larger covariance counts in each direction of the space of all parameters.
     every = np.vstack([np.eye(combinations.shape[1]), combinations])
-    informed = Informed.of(separate).of_combinations(every)
+    informed = informed_by().of_combinations(every)
     spread = _of_all(separate, informed, allowance, test)
     last = slice(combinations.shape[1], None)
     return Spread(spread.covariance[last, last], spread.dof[last])

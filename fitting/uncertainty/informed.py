@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.minimum.curvature import marginal_root
 from gonio.fitting.minimum.record import Minimum
+from gonio.fitting.uncertainty.degrees_of_freedom import of_quadratic_form
 from gonio.geometry import FloatArray
+
+NEGLIGIBLE = 1e-4  # of tr A^2: what shares of single samples in their own values add to it
+LEVERAGE = 1e-4  # least 1 - h that a residual is divided by
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,11 @@ class Informed:
             z -= (rows @ z) @ rows
         return cls(determined[:n_p], z, rows.T, back[:n_p])
 
+    @classmethod
+    def once(cls, minimum: Minimum) -> Callable[[], Informed]:
+        """`of`, made when it is first asked for and then kept: of 10^5 samples it takes long."""
+        return cache(partial(cls.of, minimum))
+
     @property
     def back(self) -> FloatArray:
         """Change of each parameter along each direction, (P, R); 0 where it is not determined.
@@ -95,6 +105,36 @@ class Informed:
     def gain(self) -> FloatArray:
         """Change of the parameters for a change of each standardised value, (N, P)."""
         return np.asarray((self.back @ self.q.T).T)
+
+    @cached_property
+    def effective_samples(self) -> FloatArray:
+        """How many samples carry each parameter, (P,): the degrees of freedom of its variance."""
+        return self.effective_among(None)
+
+    def effective_among(self, where: NDArray[np.bool_] | None) -> FloatArray:
+        """The same where these samples alone are left out in turn; all by default.
+
+        Notes
+        -----
+        The variance of parameter j is estimated by z^T A z, A = diag(a) (1 - H) diag(a) with a_i
+        the gain of sample i over 1 - h_i and H = q q^T. With b = a^2 its traces are
+        tr A = sum b (1 - h) and tr A^2 = sum b^2 (1 - 2 h) + |q^T diag(b) q|^2.
+        """
+        h, gain = self.leverage, self.gain.T
+        inverse = 1 / np.maximum(1 - h, LEVERAGE) ** 2
+        if where is not None:
+            inverse *= where
+        trace, square = np.zeros(len(gain)), np.zeros(len(gain))
+        for j, row in enumerate(gain):
+            b = row**2
+            b *= inverse
+            b /= max(float(b.max(initial=0.0)), 1e-300)
+            shared = float(b @ h)  # its square is at least |q^T diag(b) q|^2
+            trace[j] = b.sum() - shared
+            square[j] = b @ b - 2 * np.einsum("n,n,n->", b, b, h)
+            if shared**2 > NEGLIGIBLE * square[j]:
+                square[j] += np.sum((self.q.T * b @ self.q) ** 2)
+        return of_quadratic_form(trace, square)
 
     def of_noise(self, where: NDArray[np.bool_] | None = None) -> FloatArray:
         """Covariance (P, P) that unit noise of these samples, of all by default, gives."""

@@ -20,7 +20,7 @@ from gonio.fitting.minimum.record import Minimum
 from gonio.fitting.problem.protocol import Problem
 from gonio.fitting.uncertainty.degrees_of_freedom import Spread
 from gonio.fitting.uncertainty.informed import Informed
-from gonio.fitting.uncertainty.sample_jackknife import by_samples, effective_samples
+from gonio.fitting.uncertainty.sample_jackknife import by_samples
 from gonio.fitting.uncertainty.second_derivatives import STEP, beside
 from gonio.geometry import FloatArray
 
@@ -79,7 +79,7 @@ def by_loss(minimum: Minimum) -> Spread:
     84, 881 (scale of t).
     """
     informed = informed_by_loss(minimum)
-    dof = effective_samples(informed)
+    dof = informed.effective_samples
     covariance = _newton(minimum, informed)
     plain = by_samples(informed).covariance
     with np.errstate(divide="ignore", invalid="ignore"):

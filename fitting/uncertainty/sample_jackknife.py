@@ -11,13 +11,11 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.uncertainty.degrees_of_freedom import Spread, of_quadratic_form
-from gonio.fitting.uncertainty.informed import Informed
+from gonio.fitting.uncertainty.degrees_of_freedom import Spread
+from gonio.fitting.uncertainty.informed import LEVERAGE, Informed
 from gonio.fitting.uncertainty.second_derivatives import Block
 from gonio.geometry import FloatArray
 
-NEGLIGIBLE = 1e-4  # of tr A^2: what shares of single samples in their own values add to it
-LEVERAGE = 1e-4  # least 1 - h that a residual is divided by
 FLOOR = 0.25  # least curvature after a sample is left out, in units of J^T W J
 
 
@@ -59,33 +57,8 @@ def by_samples(
         covariance = _linear(informed, every)
     else:
         covariance = _newton(informed, second, every)
-    return Spread(covariance, effective_samples(informed, every))
-
-
-def effective_samples(informed: Informed, where: NDArray[np.bool_] | None = None) -> FloatArray:
-    """How many samples carry each parameter, (P,): the degrees of freedom of its variance.
-
-    Notes
-    -----
-    The variance of parameter j is estimated by z^T A z, A = diag(a) (1 - H) diag(a) with a_i the
-    gain of sample i over 1 - h_i and H = q q^T. With b = a^2 its traces are tr A = sum b (1 - h)
-    and tr A^2 = sum b^2 (1 - 2 h) + |q^T diag(b) q|^2.
-    """
-    h, gain = informed.leverage, informed.gain.T
-    inverse = 1 / np.maximum(1 - h, LEVERAGE) ** 2
-    if where is not None:
-        inverse *= where
-    trace, square = np.zeros(len(gain)), np.zeros(len(gain))
-    for j, row in enumerate(gain):
-        b = row**2
-        b *= inverse
-        b /= max(float(b.max(initial=0.0)), 1e-300)
-        shared = float(b @ h)  # its square is at least |q^T diag(b) q|^2
-        trace[j] = b.sum() - shared
-        square[j] = b @ b - 2 * np.einsum("n,n,n->", b, b, h)
-        if shared**2 > NEGLIGIBLE * square[j]:
-            square[j] += np.sum((informed.q.T * b @ informed.q) ** 2)
-    return of_quadratic_form(trace, square)
+    dof = informed.effective_samples if every.all() else informed.effective_among(every)
+    return Spread(covariance, dof)
 
 
 def _linear(informed: Informed, where: NDArray[np.bool_]) -> FloatArray:

@@ -26,6 +26,7 @@ from gonio.fitting.uncertainty.correlated_parts import (
     with_correlated_parts,
 )
 from gonio.fitting.uncertainty.estimates_compared import compared_estimates
+from gonio.fitting.uncertainty.informed import Informed
 from gonio.fitting.uncertainty.under_misfit import allowing
 from gonio.geometry import FloatArray
 from gonio.kernels.boxed import UNDETERMINED
@@ -63,12 +64,14 @@ def sharing_test(
     errors = uncertainty.evaluate(whole)
     names = tuple(q.name for q in problem.parameters if q.name == base_name(q.name))
     dof = sum(_rank(own) for own in apart) - _rank(optimum)
-    misfit = misfit_beyond_shared(whole)
-    honest = allowing(whole, with_correlated_parts(whole, errors), misfit)
+    misfit, informed_by = misfit_beyond_shared(whole), Informed.once(whole)
+    honest = allowing(whole, with_correlated_parts(whole, errors), misfit, informed_by)
     by_estimates = (
         honest.allowance is not None or residual_correlation(separate, whole.optimum.p) is not None
     )
-    comparison = compared_estimates(whole, names, honest, misfit) if by_estimates else None
+    comparison = (
+        compared_estimates(whole, names, honest, misfit, informed_by) if by_estimates else None
+    )
     p_value = None if comparison is None else comparison.p
     if not by_estimates and dof > 0:
         allowed = growth * _allowance(names, separate, apart, errors)

@@ -8,6 +8,7 @@ parameter space.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -38,7 +39,12 @@ UNEQUAL = 0.01  # chance of squared residuals that follow f below which noise do
 LONE = 0.5  # share of a parameter's information from one incidence alone that is reported
 
 
-def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> Uncertainty:
+def allowing(
+    minimum: Minimum,
+    errors: Uncertainty,
+    test: MisfitTest | None,
+    informed_by: Callable[[], Informed] | None = None,
+) -> Uncertainty:
     """The uncertainties with what the residuals show allowed for; as they are where nothing.
 
     Parameters
@@ -48,6 +54,8 @@ def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> 
         By independent noise of the stated size, or of that of the scatter.
     test : MisfitTest or None
         For structure in the residuals; None where they are rounding or too few.
+    informed_by : callable, optional
+        `Informed.once` of the minimum, where others need it as well.
 
     Notes
     -----
@@ -60,16 +68,16 @@ def allowing(minimum: Minimum, errors: Uncertainty, test: MisfitTest | None) -> 
     Noise of unknown size that follows f, without structure: the samples alone. The scatter of all
     samples together would be that of the brightest.
     """
-    problem = minimum.problem
+    problem, informed_by = minimum.problem, informed_by or Informed.once(minimum)
     if test is None or not errors.determined.any():
         return errors
     if test.structured:
         group = incidence_groups(problem)
         if test.p < alarm(int(group.max()) + 1):
-            return _of_misfit(minimum, errors, test, group)
+            return _of_misfit(minimum, errors, test, group, informed_by)
     if problem.weights == "sd" or problem.profiled or not problem.quadratic:
         return errors
-    informed = Informed.of(minimum)
+    informed = informed_by()
     level = np.sqrt(problem.inverse_variance) * problem.values(minimum.optimum.p)
     p = unequal_noise(informed.z, level)
     if p >= UNEQUAL:
@@ -84,12 +92,16 @@ def alarm(n_incidences: int) -> float:
 
 
 def _of_misfit(
-    minimum: Minimum, errors: Uncertainty, test: MisfitTest, group: NDArray[np.int64]
+    minimum: Minimum,
+    errors: Uncertainty,
+    test: MisfitTest,
+    group: NDArray[np.int64],
+    informed_by: Callable[[], Informed],
 ) -> Uncertainty:
     problem = minimum.problem
     wrong = with_structure(problem, test)
     if problem.quadratic:
-        informed = Informed.of(minimum)
+        informed = informed_by()
         spread = left_out(minimum, informed, SecondDerivatives(minimum), wrong)
     else:
         assert errors.dof is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from gonio.samples import ANGLES, BRDFSamples
 NEIGHBOURS = 8
 PAIRS = 800  # with light and viewer exchanged, which are enough
 SHOWN = 5  # samples that a sentence names
+OF_ANGLE = 1 << 20  # more than an angle has hundredths of a degree
 
 
 class Evidence:
@@ -91,23 +93,41 @@ class Evidence:
     @cached_property
     def geometry_class(self) -> NDArray[np.int64]:
         """Samples of one class have the same value on a reciprocal isotropic surface."""
+        return numbered(self.geometry_key)
+
+    @cached_property
+    def geometry_key(self) -> NDArray[np.int64]:
+        """A number that the samples of one class have in common, in the order of the classes."""
         low, high = np.minimum(self.theta_i, self.theta_r), np.maximum(self.theta_i, self.theta_r)
-        return numbered(*(np.rint(100 * np.degrees(a)) for a in (low, high, np.abs(self.delta))))
+        key = np.zeros(self.n, np.int64)
+        for angle in (low, high, np.abs(self.delta)):
+            key = key * OF_ANGLE + np.rint(100 * np.degrees(angle)).astype(np.int64)
+        return key
 
     @cached_property
     def neighbours(self) -> NDArray[np.int64]:
         """The nearest samples of each sample with almost the same incidence, shape (N, k)."""
+        return self.neighbours_of(np.arange(self.n))
+
+    def neighbours_of(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The same of some samples, shape (M, k): of many samples all take seconds."""
+        k = min(NEIGHBOURS + 1, self.n)
+        tree, points = self._tree
+        nearest = np.atleast_2d(tree.query(points[index], k=k)[1]).reshape(len(index), k)
+        own = nearest == index[:, None]
+        own[~own.any(axis=1), -1] = True
+        others: NDArray[np.int64] = nearest[~own].reshape(len(index), k - 1).astype(np.int64)
+        return others
+
+    @cached_property
+    def _tree(self) -> tuple[Any, FloatArray]:
+        """A tree of the samples and the points in it."""
         from scipy.spatial import cKDTree
 
         w_i, w_r = self.vectors
         # Samples of another incidence are near where an incidence has few samples only.
         points = np.hstack([3.0 * np.broadcast_to(w_i, (self.n, 3)), w_r])
-        k = min(NEIGHBOURS + 1, self.n)
-        nearest = np.atleast_2d(cKDTree(points).query(points, k=k)[1]).reshape(self.n, k)
-        own = nearest == np.arange(self.n)[:, None]
-        own[~own.any(axis=1), -1] = True
-        others: NDArray[np.int64] = nearest[~own].reshape(self.n, k - 1).astype(np.int64)
-        return others
+        return cKDTree(points), points
 
     @cached_property
     def lobes(self) -> LobeFit | None:

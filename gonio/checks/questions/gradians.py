@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.checks.questions.base import Finding, Question
 from gonio.checks.questions.evidence import Evidence
-from gonio.geometry import FloatArray
+from gonio.geometry import FloatArray, golden_fractions
 
 PER_DEG = 0.9  # degrees in a gradian
 ROUNDED = 0.012  # degrees to which angles written with two digits come back
@@ -17,6 +18,7 @@ PLAIN = 0.25  # share of angles that may be multiples of 0.1 as written
 LEAST = 4  # different angles that decide
 LEAST_ALONE = 6  # the same where theta alone decides
 STEEP = 10.0  # degrees of theta from which on azimuths within 1 deg are no plan
+MOST = 20_000  # samples that are looked at
 SCATTERED = 20  # azimuths anywhere in a turn
 
 
@@ -24,9 +26,14 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     """Angles that are whole degrees, or whole turns, only in gradians; azimuths that are turns."""
     if not evidence.n:
         return
-    theta = _different(np.degrees(np.r_[evidence.theta_i, evidence.theta_r]))
-    azimuths = _different(np.degrees(np.r_[evidence.phi_i, evidence.phi_r]))
-    raw = _different(np.degrees(evidence.phi_r - evidence.phi_i))
+    some: slice | NDArray[np.int64] = slice(None)
+    if evidence.n > MOST:
+        some = np.unique((golden_fractions(MOST) * evidence.n).astype(np.int64))
+    theta_i, phi_i = evidence.theta_i[some], evidence.phi_i[some]
+    theta_r, phi_r = evidence.theta_r[some], evidence.phi_r[some]
+    theta = _different(np.degrees(np.r_[theta_i, theta_r]))
+    azimuths = _different(np.degrees(np.r_[phi_i, phi_r]))
+    raw = _different(np.degrees(phi_r - phi_i))
     turns = _turns(azimuths, theta)
     if turns:
         yield Finding("azimuth_in_turns", "warning", turns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.checks.questions.base import Finding, Question
 from gonio.checks.questions.evidence import Evidence
@@ -17,6 +18,8 @@ AWAY_DEG = 8.0  # tilt from the mirror direction, and half the angle from the li
 IN_PLANE = 0.02  # sine of phi_r - phi_i: samples there stand in scans and are asked elsewhere
 SHARE = 0.02  # of the samples, above which it is the surface
 LEAST = 20  # samples
+HASH_BITS = 20
+FIBONACCI = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio, which spreads keys
 
 
 def ask(evidence: Evidence) -> Iterator[Finding]:
@@ -25,9 +28,12 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
         return
     some = np.flatnonzero(evidence.value > FACTOR * np.median(evidence.value[evidence.value > 0]))
     some = some[np.abs(np.sin(evidence.delta[some])) > IN_PLANE]
+    # The neighbours of many samples take seconds to find: they are asked for last.
+    some = some[_above_their_like(evidence, some)]
+    some = some[away_from_lobes(evidence, some, AWAY_DEG)]
     if not len(some):
         return
-    around = evidence.neighbours[some]
+    around = evidence.neighbours_of(some)
     beside = evidence.value[around]
     w_i, w_r = evidence.vectors
     cosine = np.minimum(
@@ -37,12 +43,10 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     stands = np.all(beside > 0, axis=1) & (evidence.value[some] > FACTOR * beside.max(axis=1))
     stands &= beside.max(axis=1) < LEVEL * beside.min(axis=1)
     stands &= cosine.min(axis=1) > np.cos(np.radians(NEAR_DEG))
-    stands &= away_from_lobes(evidence, some, AWAY_DEG)
     index = some[stands]
-    index = index[[_above_its_like(evidence, k) for k in index.tolist()]]
     if not len(index) or len(index) > max(1, SHARE * evidence.n):
         return
-    times = evidence.value[index] / np.median(evidence.value[evidence.neighbours[index]], axis=1)
+    times = evidence.value[index] / np.median(beside[stands], axis=1)
     yield standing_out(
         "isolated",
         evidence,
@@ -53,14 +57,24 @@ def ask(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def _above_its_like(evidence: Evidence, k: int) -> bool:
+def _above_their_like(evidence: Evidence, some: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether samples that an isotropic surface makes alike exist, and are as far below.
 
     Between few samples of a brushed surface a streak of its lobe may pass that one of them meets.
     """
-    like = np.flatnonzero(evidence.geometry_class == evidence.geometry_class[k])
-    like = like[like != k]
-    return len(like) > 0 and bool(np.all(evidence.value[k] > FACTOR * evidence.value[like]))
+    key, value = evidence.geometry_key, evidence.value
+    # Only samples with the hash of one in question are sorted.
+    bucket = (key.astype(np.uint64) * FIBONACCI) >> np.uint64(64 - HASH_BITS)
+    asked = np.zeros(1 << HASH_BITS, dtype=np.bool_)
+    asked[bucket[some]] = True
+    members = np.flatnonzero(asked[bucket])
+    order = members[np.lexsort((value[members], key[members]))]
+    ordered = key[order]
+    first = np.searchsorted(ordered, key[some], side="left")
+    last = np.searchsorted(ordered, key[some], side="right") - 1
+    # The largest of a class stands last.
+    below = value[order[np.maximum(last - 1, 0)]]
+    return np.asarray((last > first) & (order[last] == some) & (value[some] > FACTOR * below))
 
 
 QUESTION = Question(

@@ -10,6 +10,7 @@ from plausible_files import codes, glossy, hemisphere, noisy, only, plane, turne
 
 from gonio.checks import plausible
 from gonio.geometry import Directions
+from gonio.models import get
 from gonio.samples import BRDFSamples
 
 GLOSSY = {"rho_d": 0.2, "rho_s": 0.2, "alpha_x": 0.2, "alpha_y": 0.2}
@@ -20,6 +21,14 @@ both_plans = pytest.mark.parametrize("d", PLANS.values(), ids=PLANS)
 
 def lobed(d: Directions, noise=0.02, **options) -> BRDFSamples:
     return noisy(d, values(d, **GLOSSY), noise, stated=True, **options)
+
+
+def around_the_mirror_direction(n: int, seed: int) -> Directions:
+    """Viewing directions anywhere about the mirror direction of any incidence."""
+    rng = np.random.default_rng(seed)
+    theta_i = rng.uniform(5, 70, n)
+    theta_r = np.clip(theta_i + rng.normal(0, 12, n), 0, 85)
+    return Directions(*np.radians([theta_i, 0 * theta_i, theta_r, 180 + rng.normal(0, 20, n)]))
 
 
 def scaled(d: Directions, factor: float, *names: str) -> dict[str, np.ndarray]:
@@ -175,6 +184,60 @@ def test_logarithms_are_named(d, log):
     low, high = right.value.min(), right.value.max()
     assert f"{low:.2g} to {high:.2g} sr^-1" in text
     assert "leaving the negative lines out would be wrong" in text
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+@pytest.mark.parametrize(
+    ("log", "inverse"),
+    [(np.log10, "10^brdf"), (np.log, "exp(brdf)"), (lambda f: 10 * np.log10(f), "10^(brdf / 10)")],
+    ids=["log10", "ln", "dB"],
+)
+@pytest.mark.parametrize(
+    ("model", "truth"),
+    [
+        ("oren_nayar", {"rho": 0.5, "sigma": 0.4}),
+        ("ward_isotropic", {"rho_d": 0.01, "rho_s": 0.3, "alpha": 0.08}),
+    ],
+    ids=["diffuse", "glossy"],
+)
+def test_logarithms_around_the_mirror_direction_are_named(model, truth, log, inverse, noise):
+    # Neighbours of a narrow lobe differ by more than a decade: their scatter is not the noise.
+    d = around_the_mirror_direction(400, seed=1)
+    rng = np.random.default_rng(2)
+    f = get(model)(d, **truth) * np.exp(noise * rng.standard_normal(len(d.theta_i)))
+    text = only(BRDFSamples(d, log(f)), "logarithm", "warning")
+    assert " values are negative, " in text
+    assert inverse in text
+
+
+def test_a_glossy_logarithm_tells_that_its_negative_values_follow_each_other():
+    d = around_the_mirror_direction(400, seed=1)
+    f = get("ward_isotropic")(d, rho_d=0.01, rho_s=0.3, alpha=0.08)
+    text = only(BRDFSamples(d, np.log10(f)), "logarithm", "warning")
+    assert "and they follow each other: their rank correlation with the median" in text
+    assert "independent noise about 0 does not do so. They look like logarithms: as log10" in text
+
+
+@pytest.mark.parametrize("bias", [0.0, -0.3, -1.0])
+@pytest.mark.parametrize("model", ["diffuse", "glossy"])
+def test_noise_about_a_dark_surface_is_no_logarithm(model, bias):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        for d in (around_the_mirror_direction(400, seed), hemisphere()):
+            f = get("lambert")(d, rho=0.01)
+            if model == "glossy":
+                f = get("ward_isotropic")(d, rho_d=0.001, rho_s=0.02, alpha=0.1)
+            sd = 3 * float(np.median(f))
+            value = f + sd * (rng.standard_normal(len(f)) + bias)
+            assert "logarithm" not in codes(BRDFSamples(d, value))
+
+
+def test_a_smooth_offset_below_zero_is_an_offset():
+    d = around_the_mirror_direction(400, seed=1)
+    f = get("ward_isotropic")(d, rho_d=0.01, rho_s=0.3, alpha=0.08)
+    noise = 1e-5 * np.random.default_rng(2).standard_normal(len(f))
+    text = only(BRDFSamples(d, f - 0.02 + noise), "logarithm", "warning")
+    assert "An offset that is too large was subtracted" in text
 
 
 def test_an_offset_below_zero_within_its_noise_is_no_logarithm():

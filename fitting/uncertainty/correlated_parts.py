@@ -78,13 +78,14 @@ def _same_directions(problem: Problem) -> bool:
 
 
 def _first_alike(part: Problem, first: Problem) -> bool:
-    """Whether the first viewing directions are the same; few parts need all be compared then."""
-    ends = []
-    for own in (part, first):
+    """Whether the first viewing directions are the same, which most parts fail already."""
+
+    def directions(own: Problem) -> FloatArray:
         d = own.samples.directions
-        angles = (np.broadcast_to(angle, (own.n,))[:FIRST] for angle in (d.theta_r, d.phi_r))
-        ends.append(unit_vectors(*angles))
-    return np.allclose(*ends, atol=SAME)
+        theta, phi = (np.broadcast_to(angle, (own.n,))[:FIRST] for angle in (d.theta_r, d.phi_r))
+        return unit_vectors(theta, phi)
+
+    return np.allclose(directions(part), directions(first), atol=SAME)
 
 
 def _centroids(part: Problem) -> FloatArray:

@@ -29,7 +29,8 @@ def _axis(q: Parameter, n: int) -> FloatArray:
     ends = [
         end for end in (q.lower, q.upper) if high < end <= NEAR * high or low / NEAR <= end < low
     ]
-    return np.sort([*np.geomspace(low, high, max(n - len(ends) + 1, 2)), *ends])
+    between = [float(np.sqrt(end * (low if end < low else high))) for end in ends]
+    return np.sort([*np.geomspace(low, high, max(n - len(ends) + 1, 2)), *between, *ends])
 
 
 def _counts(problem: Problem, index: Sequence[int], most: int) -> int:

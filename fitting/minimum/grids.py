@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -18,7 +19,8 @@ NEAR = 4.0  # bounds by at most this factor beyond the range of starting values 
 
 
 @lru_cache(maxsize=256)
-def _axis(q: Parameter, n: int) -> FloatArray:
+def _axis(q: Parameter, n: int, *, between: bool = False) -> FloatArray:
+    """Values along one parameter; with a value between the range of starts and a near bound."""
     if q.lower == q.upper:
         return np.array([q.lower])
     low, high = q.start or (q.lower, q.upper)
@@ -29,8 +31,10 @@ def _axis(q: Parameter, n: int) -> FloatArray:
     ends = [
         end for end in (q.lower, q.upper) if high < end <= NEAR * high or low / NEAR <= end < low
     ]
-    between = [float(np.sqrt(end * (low if end < low else high))) for end in ends]
-    return np.sort([*np.geomspace(low, high, max(n - len(ends) + 1, 2)), *between, *ends])
+    values = [*np.geomspace(low, high, max(n - len(ends) + 1, 2)), *ends]
+    if between:
+        values += [float(np.sqrt(end * (low if end < low else high))) for end in ends]
+    return np.sort(values)
 
 
 def _counts(problem: Problem, index: Sequence[int], most: int) -> int:
@@ -50,7 +54,9 @@ def grid_size(problem: Problem, index: Sequence[int]) -> int:
 def grid(problem: Problem, index: Sequence[int], base: FloatArray, most: int = MOST) -> FloatArray:
     """All points of a grid over these parameters, the others as in `base`."""
     n = _counts(problem, index, most)
-    axes = [_axis(problem.parameters[j], n) for j in index]
+    axes = [_axis(problem.parameters[j], n, between=True) for j in index]
+    if math.prod(map(len, axes)) > most:
+        axes = [_axis(problem.parameters[j], n) for j in index]
     if n ** len(index) > 4 * most:
         mixed = _low_discrepancy(len(index), most)
         axes = [_axis(problem.parameters[j], most) for j in index]

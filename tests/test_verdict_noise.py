@@ -77,6 +77,42 @@ def test_unstated_noise_that_would_be_unusual_is_said_with_its_size():
         assert found.useful
 
 
+def narrow_lobe_on_a_coarse_grid():
+    theta = np.radians(np.arange(0.0, 80.0, 5.0))
+    theta_i, theta_r = (a.ravel() for a in np.meshgrid(np.radians([20, 40, 60]), theta))
+    d = Directions(theta_i, 0.0, theta_r, np.pi)
+    return d, models.get("ward_isotropic")(d, rho_d=0.3, rho_s=0.05, alpha=0.01)
+
+
+@pytest.mark.parametrize("model", ["lambert", "oren_nayar"])
+def test_residuals_of_many_times_f_above_zero_are_no_noise(model):
+    d, f = narrow_lobe_on_a_coarse_grid()
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(f))
+    result = fit(BRDFSamples(d, f * (1 + noise)), model)
+    assert result.verdict.kind == "does_not_fit"
+    assert "noise of that size would make about " in result.verdict.reason
+    assert re.search(r"of 48 readings negative, and none is; it explains ", result.verdict.reason)
+    assert not result.ok
+
+
+def test_noise_of_many_times_f_stays_undecided():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        f = models.get("lambert")(GRID, rho=0.3)
+        result = fit(BRDFSamples(GRID, f * (1 + 5 * rng.standard_normal(len(f)))), "lambert")
+        assert result.verdict.kind == "undecided"
+        assert result.ok
+
+
+def test_speckle_stays_undecided():
+    for seed in range(5):
+        speckle = np.random.default_rng(seed).exponential(size=len(GRID.theta_r))
+        f = models.get("lambert")(GRID, rho=0.3)
+        result = fit(BRDFSamples(GRID, f * speckle), "lambert")
+        assert result.verdict.kind == "undecided"
+        assert result.ok
+
+
 def test_a_place_is_named_only_where_the_error_is_larger_than_it_typically_is():
     phong = models.get("phong")(GRID, rho_d=0.3, rho_s=0.1, n=20.0)
     found = verdict(phong, 0.01 * phong, 0.01 * phong)

@@ -30,6 +30,8 @@ AS_STATED = 1.5  # factor by which the noise of the brightest may miss what is s
 TIMES = 2.5  # by which that of the darkest must exceed that of the brightest
 AGREES = (0.6, 1.5)  # noise of all bands in units of stated noise with a floor
 
+FEWER = 5.0  # standard deviations by which readings below zero are fewer than noise would make
+
 _Part = tuple[FloatArray, slice, FloatArray]  # columns of unit size, samples, eigenvalues
 
 
@@ -40,6 +42,22 @@ def samples_of_half(excess: Excess) -> int | None:
         return None
     largest = np.cumsum(np.sort(excess.z**2)[::-1])
     return int(np.searchsorted(largest, largest[-1] / 2)) + 1
+
+
+def negative_readings(left: Standardised) -> tuple[float, int] | None:
+    """How many readings noise as large as the residuals makes negative, where fewer are; else None.
+
+    Noise that is larger than f leaves nearly every other reading below zero. Where it does not, the
+    residuals are no noise of one size, whoever stated none. The second number is that of the
+    readings that are zero or below.
+    """
+    from scipy.special import ndtr
+
+    scatter = float(np.sqrt(left.z @ left.z / left.dof))
+    chance = ndtr(-left.level / scatter)
+    expected, count = float(chance.sum()), int(np.count_nonzero(left.problem.samples.value <= 0))
+    sd = float(np.sqrt(np.sum(chance * (1 - chance))))
+    return (expected, count) if expected - count > FEWER * sd else None
 
 
 def sees_smooth_errors(base: Base, excess: Excess) -> bool:

@@ -20,6 +20,7 @@ from gonio.fitting.residual_tests.report import ResidualReport, examine_parts
 from gonio.fitting.residual_tests.standardised import LEAST, standardise
 from gonio.fitting.residual_tests.unstructured import (
     missing_floor,
+    negative_readings,
     samples_of_half,
     sees_smooth_errors,
 )
@@ -31,6 +32,7 @@ from gonio.wording import counted
 UNDERSTATED = 3.0  # factor by which noise may be stated too small where samples are sparse
 BLACK = "the fitted f is 0 at every sample, so that no error has a size in per cent of f"
 UNUSUAL = 0.3  # of f: noise that no instrument has where it measures
+IMPOSSIBLE = 2.0  # of f: noise that readings above zero cannot have; speckle, the worst, has 1
 SMALLER = 3.0  # standard deviations of chi-squared by which residuals are smaller than their noise
 STANDS_OUT = 4.0  # standard deviations by which a group does that the verdict names
 
@@ -155,6 +157,9 @@ def _with_use(
         noise = float(np.sum(problem.inverse_variance * residual**2))
     else:
         noise = (1 - _share(reports)) * float(np.sum(problem.inverse_variance * residual**2))
+        if verdict.p is not None and verdict.p >= ALARM:
+            # Readings that are not negative have noise of the size of f at most.
+            noise = min(noise, float(np.sum(problem.inverse_variance * f**2)))
     explained = explained_share(minimum, noise)
     if explained is None:
         return verdict
@@ -292,6 +297,15 @@ def _by_structure(base: Base, reports: Sequence[ResidualReport], tolerance: floa
     if everything <= tolerance:
         reason = f"all residuals together are {whole}, within the tolerance of {limit}"
         return _Finding("fits", p, everything, (0.0, everything), reason)
+    negative = negative_readings(left) if everything >= IMPOSSIBLE else None
+    if p >= ALARM and negative is not None:
+        expected, count = negative
+        are = f"{count or 'none'} {'is' if count < 2 else 'are'}"
+        reason = (
+            f"typically off by {whole}: noise of that size would make about {expected:.0f} of "
+            f"{left.problem.n} readings negative, and {are}"
+        )
+        return _Finding("does_not_fit", p, everything, None, reason)
     if p >= ALARM:
         reason = (
             f"the noise is not stated: residuals of {whole} without structure may be noise "

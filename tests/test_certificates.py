@@ -1,5 +1,6 @@
 """What is certified of the white standard: kinds, conversions between them, unknown shapes."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,8 +13,9 @@ import gonio
 from gonio import models
 from gonio.calibration.budget import budget
 from gonio.calibration.effects import standard_certificate, standard_shape
-from gonio.calibration.frames.certified import estimate, total_reflectance
-from gonio.certificate import Certificate
+from gonio.calibration.frames.certified import describe, estimate, total_reflectance
+from gonio.certificate import Certificate, ListedBRDF
+from gonio.instrument import preset
 from gonio.instrument.records import metadata
 from gonio.instrument.standard import Standard
 from gonio.metadata import Plan
@@ -203,6 +205,97 @@ def test_the_uncertainty_of_a_certified_rolloff_follows_the_kind():
         (term,) = standard_certificate.terms(measured)
         expected = 0.02 * (fall(theta) + fall(part.theta_i) - kept)
         np.testing.assert_allclose(term.relative * term.profile, expected, rtol=1e-12)
+
+
+# ---------------------------------------------------------------- frames of a drawn standard
+
+
+@pytest.mark.parametrize("alone", [None, 45.0], ids=["every incidence", "one incidence"])
+def test_frames_show_the_true_shape_in_the_directions_of_the_laboratory(alone):
+    """The sample is turned and the standard is not: its f belongs to the laboratory's azimuth."""
+    turned = PLAN.model_copy(
+        update={"rotations_deg": (40.0,), "standard_theta_i_deg": alone, "theta_i_deg": (45, 60)}
+    )
+    standard = {"shape_sd": 0.08, "seed": 3, "rolloff_certified": False, "u_shape": 0.05}
+    rig = small(n=52, standard=standard)
+    samples = gonio.reduce(Drawn(images(rig, turned, "lambert", rho=0.5)))
+    d, true = samples.directions, rig.standard
+    incidence = d.theta_i if alone is None else np.full(len(samples), np.radians(alone))
+    where = incidence, d.theta_r, d.phi_r - d.phi_i
+    change = 0.99 / np.pi / true.brdf(*where)
+    # It depends on azimuth, or this would be no test.
+    assert np.ptp(change[(d.theta_r > 1.0) & (d.theta_r < 1.1)]) > 0.02
+    measured = samples.value * np.pi / 0.5
+    score = (measured - change) / (samples.u_independent * np.pi / 0.5)
+    assert np.sqrt(np.mean(score**2)) == pytest.approx(1, abs=0.15)
+    modes = estimate(true.certificate()).modes(*where)
+    terms = [term for term in samples.shared if term.effect == "standard_shape"]
+    for term, mode in zip(terms, modes, strict=True):
+        # A cell's mean direction is not quite the mean of the cell's f.
+        np.testing.assert_allclose(term.relative * term.profile, mode, atol=1e-9)
+
+
+def test_the_certificate_knows_nothing_of_the_drawn_shape(tmp_path):
+    rig = small(n=26, standard={"shape_sd": 0.05, "seed": 12345, "rolloff_certified": False})
+    plan = PLAN.model_copy(update={"theta_i_deg": (0.0,), "exposures_s": (0.01,), "repeats": 1})
+    recorded = gonio.simulate(
+        model="lambert", output=tmp_path / "s.gonio", instrument=rig, plan=plan, seed=1
+    )
+    text = (recorded.path / "session.json").read_text()
+    assert "12345" not in text
+    assert "shape_sd" not in text
+    other = rig.altered(standard=rig.standard.model_dump() | {"seed": 2})
+    assert metadata(other, plan, "a", "").standard == recorded.metadata.standard
+    assert json.loads(text)["standard"]["rolloff"] is None
+
+
+def test_a_rolloff_of_0_in_a_session_of_0_1_was_stated_by_nobody():
+    old = {"reflectance": 0.99, "uncertainty": 0.005, "rolloff": 0.0, "rolloff_uncertainty": 0.0}
+    assert not Certificate(**old).shape_is_certified
+    assert Certificate(**old, kind="pi_f0").shape_is_certified
+    assert Certificate(**(old | {"rolloff_uncertainty": 0.02})).rolloff == 0
+    assert Certificate(**(old | {"rolloff": 0.1})).rolloff == 0.1
+
+
+def test_modern12_says_that_its_shape_is_certified():
+    known = metadata(preset("modern12"), PLAN, "sample", "")
+    assert describe(known.standard) == "pi f(0 deg) = 0.99, less 0.1 (theta_r/75 deg)^4"
+    assert known.standard.shape_is_certified
+
+
+@pytest.mark.parametrize(
+    ("stated", "message"),
+    [
+        ({"kind": "brdf_table", "reflectance": 0.9}, "brdf_table needs the list brdf"),
+        ({"kind": "total", "reflectance": 1.1}, r"reflectance = 1\.1: a total reflectance is at"),
+        ({"kind": "total"}, "give either reflectance or, with kind brdf_table, the list brdf"),
+        ({"reflectance": 0.9, "rolloff": 0.1, "u_shape": 0.1, "rolloff_uncertainty": 0.1},
+         "give either rolloff_uncertainty or u_shape"),
+        ({"kind": "8/d", "reflectance": 0.9}, "Input should be 'pi_f0', 'total', '0/45' or"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_certificate_is_said(stated, message):
+    with pytest.raises(ValueError, match=message):
+        Certificate(uncertainty=0.01, **stated)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"brdf": (0.3,)}, "the lists must have one value for each geometry; theta_i_deg has 2"),
+        ({"theta_r_deg": (0.0, 95.0)}, "theta_r_deg must lie in 0 to 90"),
+        ({"u_brdf": (0.1, 0.4)}, "u_brdf must be at least 0 and smaller than brdf"),
+        ({"brdf": (0.3, -0.1)}, "brdf must be positive"),
+    ],
+)
+def test_what_is_wrong_with_a_list_is_said(change, message):
+    right = {
+        "theta_i_deg": (0.0, 0.0), "theta_r_deg": (0.0, 45.0), "dphi_deg": (0.0, 0.0),
+        "brdf": (0.31, 0.3), "u_brdf": (0.001, 0.001),
+    }  # fmt: skip
+    ListedBRDF(**right)
+    with pytest.raises(ValueError, match=message):
+        ListedBRDF(**(right | change))
 
 
 # ---------------------------------------------------------------- what a wrong statement costs

@@ -854,6 +854,34 @@ def test_a_standard_by_a_model_is_tabulated(folder):
     assert any(re.match(told, line) for line in found.done)
 
 
+PI_F0 = 'kind = "pi_f0"'
+NO_SHAPE = (("rolloff = 0.1", "# rolloff"), ("reciprocal = false", "#"))
+
+
+def test_the_kind_of_a_certificate_comes_into_the_session(folder):
+    change(folder, (PI_F0, 'kind = "total"'), *NO_SHAPE, ("# rolloff", "u_shape = 0.04 #"))
+    certificate = rig.check_frames(folder).metadata.standard
+    assert (certificate.kind, certificate.reflectance) == ("total", 0.99)
+    assert (certificate.rolloff, certificate.u_shape) == (None, 0.04)
+
+
+def test_a_certified_list_of_f_comes_into_the_session(folder):
+    lines = """brdf.theta_i_deg = [0.0, 0.0]
+brdf.theta_r_deg = [15.0, 45.0]
+brdf.dphi_deg = [0.0, 0.0]
+brdf.brdf = [0.317, 0.314]
+brdf.u_brdf = [0.001, 0.001]"""
+    change(folder, (PI_F0, 'kind = "brdf_table"'), *NO_SHAPE, ("reflectance = 0.99", f"{lines} #"))
+    assert rig.check_frames(folder).metadata.standard.brdf.brdf == (0.317, 0.314)
+    change(folder, ("brdf.u_brdf = [0.001, 0.001]", "brdf.u_brdf = [0.001]"))
+    refused(folder, ConfigurationError, r"the lists must have one value for each geometry")
+
+
+def test_a_certificate_that_contradicts_itself_is_refused(folder):
+    change(folder, (PI_F0, 'kind = "brdf_table"'))
+    refused(folder, ConfigurationError, r"standard: kind brdf_table needs the list brdf")
+
+
 def test_a_lambertian_standard_is_a_table_of_one(folder):
     with_model(folder, 'model = "lambert"\nparameters = { rho = 0.97 }')
     certificate = rig.check_frames(folder).metadata.standard

@@ -108,7 +108,7 @@ def test_progress_counts_images(lambertian):
 def test_the_history_says_what_was_done(reduced):
     first, standard, mapping, masked, cells, *notes = reduced.history
     assert first == "ideal12: lambert, 3 images of 6 exposures merged"
-    assert standard == "eq. (2) with a standard of 0.99"
+    assert standard == "eq. (2) with a standard of pi f(0 deg) = 0.99"
     assert mapping == "eq. (3) with R = 150 mm, D = 15 mm (ellipsoid)"
     assert masked.startswith("masked: theta_r > 80 deg; saturated 0 pixels; ")
     assert cells.endswith(f" pixels in {len(reduced)} equal-area cells")

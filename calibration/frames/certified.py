@@ -102,7 +102,7 @@ def estimate(certificate: Certificate) -> Estimate:
 
     >>> total = Certificate(kind="total", reflectance=0.96, uncertainty=0.005, rolloff=0.1)
     >>> round(float(np.pi * estimate(total).brdf(0.0, 0.0, 0.0)), 4)
-    0.9886
+    0.9884
     """
     if certificate.brdf is not None:
         return _of_list(certificate, certificate.brdf)

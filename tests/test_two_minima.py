@@ -39,6 +39,25 @@ def test_the_deeper_of_two_minima_is_found():
     assert other.chi2 > 10 * found.chi2
 
 
+def one_incidence_of_a_narrow_lobe():
+    """A lobe that three samples of a grid of 10 deg show, with alpha_x below the usual range."""
+    mesh = np.meshgrid(np.arange(0.0, 80, 10), np.arange(0.0, 360, 30), indexing="ij")
+    theta_r, phi_r = (np.radians(axis.ravel()) for axis in mesh)
+    where = Directions(np.full(len(phi_r), np.radians(29.2)), np.zeros(len(phi_r)), theta_r, phi_r)
+    truth = {"rho_d": 0.32, "rho_s": 0.17, "alpha_x": 0.0112, "alpha_y": 0.234}
+    f = models.get("ward_gmd")(where, **truth)
+    u = 0.003 * f
+    rng = np.random.default_rng(2)
+    return BRDFSamples(where, f + u * rng.standard_normal(len(f)), u_independent=u), truth
+
+
+def test_a_lobe_between_the_range_of_starts_and_the_bound_is_found():
+    samples, truth = one_incidence_of_a_narrow_lobe()
+    found = find_minimum(samples, models.get("ward_gmd"))
+    of_truth = minimise(found.problem, found.problem.vector(truth), search=False)
+    assert found.optimum.chi2 <= of_truth.chi2 + 1e-3
+
+
 def test_a_deeper_minimum_among_the_draws_is_taken(monkeypatch):
     monkeypatch.setattr(minimise_module, "starts", lambda problem, n=None: [ELSEWHERE])
     long = posterior.sample

@@ -22,7 +22,7 @@ from gonio.geometry import FloatArray
 
 # Starting values that are followed to their minimum: chi-squared has more minima with more than two
 # nonlinear parameters, and with two and few samples, and most with both.
-STARTS = (2, 8, 32)
+STARTS = (2, 12, 32)
 FEW_SAMPLES = 500
 SEARCHES = 1  # starting values, the best ones, from which an engine searches
 FAR = 2.0  # times the least chi2 of some samples: a minimum there is none of all samples

@@ -26,11 +26,12 @@ RESCORED = 10
 TURN = 410  # points when a lobe is added
 BEAM = 5  # combinations of lobes that are kept while lobes are added
 LARGEST = 100.0  # times the median: no weight of a loss at a measured value counts for more
+SAME = 1e-6  # of chi-squared: points that differ by less give the same f
 APART = 0.4  # of the sum of two values: starts that are nearer in all parameters are one
 
 
 def candidates(problem: Problem, n: int) -> list[FloatArray]:
-    """The best n starting values that are not neighbours of a better one.
+    """The best n starting values that are not neighbours of a better one, nor give the same f.
 
     All points of a grid where these are few. Else lobe by lobe: those of a sum are added one
     after the other, each on a grid beside the best combinations of those before, and then each is
@@ -55,7 +56,7 @@ def candidates(problem: Problem, n: int) -> list[FloatArray]:
     if some is not coarse:
         best = np.argsort(chi2, kind="stable")[: max(RESCORED, 4 * n)]
         chi2, solved = scored(coarse, box, solved[best])
-    return _distinct(chi2, solved, n)
+    return _distinct(chi2, solved, n, apart=SAME)
 
 
 def _like_loss(problem: Problem) -> Problem:
@@ -136,13 +137,23 @@ def _lobe_by_lobe(
     return np.concatenate(beams[-2:])
 
 
-def _distinct(chi2: FloatArray, points: FloatArray, n: int) -> list[FloatArray]:
-    """The best points that are not neighbours of a better one."""
+def _distinct(
+    chi2: FloatArray, points: FloatArray, n: int, apart: float | None = None
+) -> list[FloatArray]:
+    """The best points that are not neighbours of a better one.
+
+    Nor those whose chi-squared is within `apart`, as a fraction, of the one before: lobes that no
+    sample meets, or one alone, are the same f.
+    """
     chosen: list[FloatArray] = []
+    last = 0.0
     for k in np.argsort(chi2, kind="stable"):
         p = points[k]
+        if chosen and apart is not None and chi2[k] - last <= apart * abs(last):
+            continue
         if all(np.max(abs(p - q) / (abs(p) + abs(q) + 1e-12)) > APART for q in chosen):
             chosen.append(p)
+            last = float(chi2[k])
         if len(chosen) == n:
             break
     return chosen

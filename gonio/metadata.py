@@ -298,6 +298,11 @@ class Metadata(_Record):
     lamp: LampRecord
     limits: Limits = Limits()
     plan: Plan
+    rig: str | None = Field(
+        default=None,
+        description="identity of the rig: sessions that state the same one have one dome, one "
+        "camera and one lens",
+    )
     fingerprint: str = Field(
         default="", description="hash of what made the session; resuming checks it"
     )

@@ -47,6 +47,8 @@ def simulate(
     instrument: str | Instrument = "modern12",
     plan: Plan | str | Path | None = None,
     seed: int = 0,
+    rig_seed: int | None = None,
+    standard_seed: int | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
     truth_images: bool | None = None,
@@ -72,6 +74,14 @@ def simulate(
         `mirror_plan`. Its channels are those of the instrument.
     seed : int
         Seed of the random numbers: 0 <= seed < 2**63.
+    rig_seed : int, optional
+        Seed of what belongs to the rig: the dome's slope errors and coating, the camera's fixed
+        patterns, the multi-bounce and, without a seed of its own, the white standard. Sessions
+        with one `rig_seed` and different seeds are sessions on one rig; `seed` then draws what
+        each session has for itself: the lamp, the azimuth of the sample and the noise. By default
+        `seed` draws all.
+    standard_seed : int, optional
+        Seed of the white standard's error.
     threads : int, optional
         Number of worker threads; the frames do not depend on it.
     progress : callable, optional
@@ -105,8 +115,12 @@ def simulate(
     from gonio.instrument.records import metadata
     from gonio.instrument.truth import economical
 
-    if not 0 <= seed < 2**63:
-        raise ConfigurationError(f"seed = {seed} is out of range; allowed is 0 to 2^63 - 1.")
+    seeds = {"seed": seed, "rig_seed": rig_seed, "standard_seed": standard_seed}
+    for name, number in seeds.items():
+        if number is not None and not 0 <= number < 2**63:
+            raise ConfigurationError(
+                f"{name} = {number} is out of range; allowed is 0 to 2^63 - 1.", value=number
+            )
     virtual = load(instrument) if isinstance(instrument, str) else instrument
     plan = read_plan(plan) if isinstance(plan, str | Path) else plan
     is_mirror = plan is not None and plan.mode == "mirror"
@@ -114,10 +128,14 @@ def simulate(
         virtual, material, model, parameters
     )  # fmt: skip
     plan = _completed(virtual, plan, surface)
-    recipe = _recipe(virtual, surface, plan, seed)
+    recipe = _recipe(virtual, surface, plan, seeds)
     fingerprint = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    session = Session.create(output, metadata(virtual, plan, surface.name, fingerprint))
-    realisation = Realisation.from_seed(seed, virtual, plan)
+    of_rig = f"seed {seed}" if rig_seed is None else f"rig seed {rig_seed}"
+    rig = f"{virtual.name}, {of_rig}"
+    session = Session.create(output, metadata(virtual, plan, surface.name, fingerprint, rig))
+    realisation = Realisation.from_seeds(
+        seed, virtual, plan, rig_seed=rig_seed, standard_seed=standard_seed
+    )
     _write_truth(session.path, recipe, surface, virtual, plan, realisation)
     if not session.complete:
         wanted = economical(plan) if truth_images is None else truth_images
@@ -149,15 +167,17 @@ def _named(surface: Surface) -> dict[str, Values]:
     }
 
 
-def _recipe(instrument: Instrument, surface: Surface, plan: Plan, seed: int) -> dict[str, Any]:
-    """All inputs of a session."""
+def _recipe(
+    instrument: Instrument, surface: Surface, plan: Plan, seeds: Mapping[str, int | None]
+) -> dict[str, Any]:
+    """All inputs of a session; seeds that are not given leave it as it was without them."""
     return {
         "version": __version__,
         "model": surface.model.name if surface.model else MIRROR,
         "parameters": _named(surface),
         "instrument": instrument.model_dump(mode="json"),
         "plan": plan.model_dump(mode="json"),
-        "seed": seed,
+        **{name: number for name, number in seeds.items() if number is not None},
     }
 
 

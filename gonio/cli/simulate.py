@@ -52,6 +52,19 @@ MAX_WEDGE_DEG = 45.0
     help="Seed of the random numbers.",
 )
 @click.option(
+    "--rig-seed",
+    type=int,
+    metavar="N",
+    help="Seed of what belongs to the rig: dome, camera, multi-bounce, standard. Sessions with one "
+    "--rig-seed and different --seed were recorded on one rig. Default: --seed.",
+)
+@click.option(
+    "--standard-seed",
+    type=int,
+    metavar="N",
+    help="Seed of the white standard's error. Default: that of the rig.",
+)
+@click.option(
     "-o",
     "--output",
     required=True,
@@ -118,6 +131,8 @@ def command(
     items: tuple[str, ...],
     instrument: str,
     seed: int,
+    rig_seed: int | None,
+    standard_seed: int | None,
     output: Path,
     plan_file: Path | None,
     theta_i: str | None,
@@ -172,6 +187,8 @@ def command(
                 instrument=chosen_instrument,
                 plan=plan,
                 seed=seed,
+                rig_seed=rig_seed,
+                standard_seed=standard_seed,
                 threads=threads,
                 progress=callback,
                 truth_images=truth_images,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,42 @@ class Realisation:
     noise_seed: int
     multibounce_scale: float  # true g over the stated value
     azimuth: float = 0.0  # rotation of the sample that the plan does not include, radians
+
+    @classmethod
+    def from_seeds(
+        cls,
+        seed: int,
+        instrument: Instrument,
+        plan: Plan,
+        *,
+        rig_seed: int | None = None,
+        standard_seed: int | None = None,
+    ) -> Realisation:
+        """Draw the errors of a session on a rig of its own, or on one that others use as well.
+
+        Parameters
+        ----------
+        seed : int
+            Of everything, or of what each session draws anew: lamp, azimuth of the sample, noise.
+        instrument : Instrument
+        plan : Plan
+        rig_seed : int, optional
+            Of the dome's slope errors and coating, the camera's patterns and the multi-bounce.
+        standard_seed : int, optional
+            Of the standard's error; by default that of the rig, which has one standard.
+        """
+        session = cls.from_seed(seed, instrument, plan)
+        if rig_seed is not None:
+            rig = cls.from_seed(rig_seed, instrument, plan)
+            session = replace(
+                session, pattern_seed=rig.pattern_seed, dome_seed=rig.dome_seed,
+                standard_scale=rig.standard_scale,
+                multibounce_scale=_multibounce_scale(rig_seed, instrument),
+            )  # fmt: skip
+        if standard_seed is not None:
+            standard = cls.from_seed(standard_seed, instrument, plan)
+            session = replace(session, standard_scale=standard.standard_scale)
+        return session
 
     @classmethod
     def from_seed(cls, seed: int, instrument: Instrument, plan: Plan) -> Realisation:
@@ -47,3 +83,9 @@ class Realisation:
             float(standard), lamp, pattern, dome, noise, max(multibounce, 0.0),
             float(np.radians(azimuth)),
         )  # fmt: skip
+
+
+def _multibounce_scale(rig_seed: int, instrument: Instrument) -> float:
+    """True g over the stated value, of a rig whatever its plans are."""
+    u = instrument.surroundings.multibounce_uncertainty
+    return max(1.0 + u * float(np.random.default_rng([rig_seed, 5]).standard_normal()), 0.0)

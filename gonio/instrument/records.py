@@ -16,7 +16,9 @@ from gonio.metadata import (
 )
 
 
-def metadata(instrument: Instrument, plan: Plan, sample: str, fingerprint: str) -> Metadata:
+def metadata(
+    instrument: Instrument, plan: Plan, sample: str, fingerprint: str, rig: str | None = None
+) -> Metadata:
     """Metadata of a session on a virtual instrument: its data sheets, without its random errors.
 
     Parameters
@@ -27,6 +29,8 @@ def metadata(instrument: Instrument, plan: Plan, sample: str, fingerprint: str) 
         Name of the sample.
     fingerprint : str
         Hash of all inputs of the session.
+    rig : str, optional
+        Identity of the rig.
     """
     return Metadata(
         schema=SCHEMA,
@@ -39,6 +43,7 @@ def metadata(instrument: Instrument, plan: Plan, sample: str, fingerprint: str) 
         lamp=_lamp(instrument, plan),
         limits=_limits(instrument),
         plan=plan,
+        rig=rig,
         fingerprint=fingerprint,
     )
 

@@ -72,6 +72,7 @@ def describe(rig: RigFile, header: Header, sampling: Sampling, name: str) -> Des
         lamp=table.lamp,
         limits=table.limits,
         plan=table.plan,
+        rig=table.instrument.name,
     )
     metadata = content.model_copy(update={"fingerprint": _fingerprint(content, rig, sampling)})
     return Described(metadata, tuple(done))

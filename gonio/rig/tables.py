@@ -48,7 +48,9 @@ class _Table(BaseModel):
 class InstrumentTable(_Table):
     """Names that go into the session."""
 
-    name: str = Field(min_length=1, max_length=200, description="name of the rig")
+    name: str = Field(
+        min_length=1, max_length=200, description="name of the rig: its sessions have one"
+    )
     sample: str = Field(min_length=1, max_length=200, description="name of the sample")
 
 

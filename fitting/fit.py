@@ -11,6 +11,7 @@ from gonio.errors import ConfigurationError
 from gonio.fitting.diagnostics.diagnose import diagnose
 from gonio.fitting.diagnostics.parts import with_parts
 from gonio.fitting.diagnostics.support import support_warnings, supports
+from gonio.fitting.dome_field.self_calibration import self_calibrated
 from gonio.fitting.minimum import engines
 from gonio.fitting.minimum.find import find_minimum
 from gonio.fitting.minimum.joint import find_joint_minimum
@@ -64,6 +65,7 @@ def fit(
     cuts: Mapping[str, Any] | None = None,
     u_scale: float | None = None,
     u_angle: float | None = None,
+    self_calibrate: bool = False,
     progress: Progress | None = None,
 ) -> FitResult:
     """Fit a model to BRDF samples.
@@ -121,6 +123,9 @@ def fit(
     u_scale, u_angle : float, optional
         Standard uncertainties, a fraction and radians, of one factor on all values and of the
         alignment, which all samples share (`gonio.samples.stated_errors.with_shared_errors`).
+    self_calibrate : bool
+        Find the slope errors of the dome together with the material, from the samples of one
+        session; the verdict then also asks whether they predict images that were left out.
     progress : callable, optional
         Called with (steps done, steps in all) while the posterior is sampled.
 
@@ -187,6 +192,15 @@ def fit(
         options["loss"] = loss
     screening = screened(samples)
     stated = _with_shared_errors(screening.samples, u_scale=u_scale, u_angle=u_angle)
+    calibration = None
+    if self_calibrate:
+        if share is not None or nuisance != "none":
+            raise ConfigurationError(
+                "self_calibrate fits one session and estimates its shared errors; leave share and "
+                "nuisance out."
+            )
+        calibration = self_calibrated(stated, chosen, **options)
+        stated = calibration.samples
     minimum = _minimum(stated, chosen, share, **options)
     minimum = profiled(minimum, profiled_terms(minimum.problem.samples, nuisance), searched_by)
     chain = None
@@ -208,7 +222,7 @@ def fit(
         **_inferred(minimum, chain, None if draws is None else str(draws), chosen.note),
         **provenance(minimum.problem.samples),
     )
-    return screening.noted(result)
+    return screening.noted(result if calibration is None else calibration.noted(result))
 
 
 def _stated(minimum: Minimum) -> dict[str, Any]:

@@ -15,6 +15,7 @@ A simulated session also has a folder `truth`, written by the simulator. In this
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import zlib
@@ -131,6 +132,13 @@ class Session:
     def complete(self) -> bool:
         """True when every frame of the plan is there."""
         return self.n_done == self.metadata.plan.n_frames
+
+    @property
+    def sha256(self) -> str:
+        """Hex digest of the metadata and of the checksums of all frames: what was recorded."""
+        frames = sorted(self._manifest.items())
+        text = self.metadata.model_dump_json() + json.dumps(frames)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def require_complete(self) -> None:
         """Raise DataError unless every frame is there."""

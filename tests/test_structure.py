@@ -46,6 +46,8 @@ ALLOWED = {
     "cache": set(),
     "files": {"errors"},
     "geometry": {"errors", "files"},
+    "tangent_field": {"geometry"},
+    "dome_map": {"errors", "files", "geometry", "tangent_field"},
     "kernels": FOUNDATION | {"cache"},
     "models": FOUNDATION | {"kernels", "cache"},
     "terms_of_0_1": set(),
@@ -65,8 +67,9 @@ ALLOWED = {
     # The reducer never sees the truth, the fitter never sees the inside of the instrument.
     "calibration": FOUNDATION
     | RECORDS
-    | {"session", "samples", "shared_term", "board", "kernels.threads"},
-    "fitting": FOUNDATION | {"samples", "shared_term", "models", "kernels", "checks"},
+    | {"session", "samples", "shared_term", "board", "kernels.threads", "dome_map"},
+    "fitting": FOUNDATION
+    | {"samples", "shared_term", "models", "kernels", "checks", "dome_map", "tangent_field"},
     "planning": SURFACE
     | {"session", "metadata", "instrument", "simulation", "calibration", "fitting", "plan_file"},
     # Samples from anywhere, and true parameters: both ask the session, which no fit sees.

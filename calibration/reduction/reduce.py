@@ -109,6 +109,7 @@ def reduce(
         metadata={
             **samples.metadata,
             "session": str(session.path),
+            "session_sha256": session.sha256,
             "findings": [asdict(finding) for finding in findings],
         },
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gonio.calibration import effects
@@ -88,9 +90,32 @@ def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells])
             "instrument": metadata.instrument,
             "sample": metadata.sample,
             "unknown": list(effects.unknown(metadata, pixel_map)),
+            "rig": _rig(metadata, pixel_map),
         },
         quantity="BTDF" if metadata.plan.mode == "transmission" else "BRDF",
     )
+
+
+def _rig(metadata: Metadata, pixel_map: PixelMap) -> dict[str, Any]:
+    """What belongs to the rig and its dome, and how the sample was turned in each image.
+
+    The lamp stands at azimuth 0 of the laboratory, in which the dome is at rest: a direction of
+    the samples has the azimuth phi + `turn_deg` there.
+    """
+    geometry, limits, plan = pixel_map.geometry, metadata.limits, metadata.plan
+    steps = len(plan.theta_i_deg) * len(plan.channels)
+    return {
+        "identity": metadata.rig,
+        "instrument": metadata.instrument,
+        "shape": geometry.shape,
+        "R_mm": geometry.R,
+        "D_mm": geometry.D,
+        "slope_error_deg": limits.slope_error_deg,
+        "rim_slope_error_deg": limits.rim_slope_error_deg,
+        "slope_correlation_deg": limits.slope_correlation_deg,
+        "lamp_drift": metadata.lamp.drift,
+        "turn_deg": list(plan.rotations_deg) * steps,
+    }
 
 
 def _history(

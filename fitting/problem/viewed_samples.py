@@ -81,7 +81,8 @@ class ViewedSamples:
         cells, w_i, w_r = self.cells, self.w_i, self.cells.w_r
         members = np.diff(cells.offsets)
         if shift is not None:
-            w_r = w_r + (shift if self.are_points else np.repeat(shift, members, axis=0))
+            each = shift if len(shift) == len(w_r) else np.repeat(shift, members, axis=0)
+            w_r = w_r + each
             w_r /= np.sqrt(np.einsum("nk,nk->n", w_r, w_r))[:, None]
         if np.any(turn):
             each = np.broadcast_to(turn, len(self))

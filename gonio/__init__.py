@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import gonio.calibration as calibration
     import gonio.checks as checks
     import gonio.data as data
+    import gonio.dome_map as dome_map
     import gonio.errors as errors
     import gonio.files as files
     import gonio.fitting as fitting
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from gonio.calibration.lens.from_photos import calibrate_lens
     from gonio.calibration.reduction.reduce import reduce
     from gonio.fitting.comparison.compare import compare
+    from gonio.fitting.dome_field.calibrate_dome import calibrate_dome
     from gonio.fitting.fit import fit
     from gonio.fitting.result import FitResult
     from gonio.geometry import Directions
@@ -68,6 +70,7 @@ __all__ = [
     "boards",
     "budget",
     "calibrate_alignment",
+    "calibrate_dome",
     "calibrate_lens",
     "calibration",
     "check",
@@ -75,6 +78,7 @@ __all__ = [
     "compare",
     "data",
     "design",
+    "dome_map",
     "doctor",
     "errors",
     "evaluate",

@@ -116,7 +116,9 @@ class Nodes:
         # A sunflower: equal areas, without rows that a lobe could lie along.
         q = (np.arange(n) + 0.5) / n * (1 - np.cos(end))
         azimuth = np.arange(n) * np.pi * (3 - np.sqrt(5))
-        return cls(from_equal_area(np.sqrt(q) * np.cos(azimuth), np.sqrt(q) * np.sin(azimuth)), prior)
+        radius = np.sqrt(q)
+        nodes = from_equal_area(radius * np.cos(azimuth), radius * np.sin(azimuth))
+        return cls(nodes, prior)
 
     def __len__(self) -> int:
         return len(self.directions)

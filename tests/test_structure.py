@@ -263,7 +263,7 @@ FLOORS: dict[str, list[set[str]]] = {
         {"provenance", "problem"},
         {"result"},
         {"minimum", "part_choice", "screening"},
-        {"residual_tests"},
+        {"residual_tests", "dome_field"},
         {"uncertainty"},
         {"posterior", "diagnostics", "comparison", "warnings"},
         {"fit", "texels"},

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gonio.calibration.dome.pixel_map import PixelMap, across
 from gonio.calibration.image_cells import ImageCells
+from gonio.dome_map import UNKNOWN, DomeMap
 from gonio.geometry import FloatArray, rotated
 from gonio.metadata import Metadata
 from gonio.shared_term import BelongsTo, Evaluation, SharedTerm
@@ -36,6 +37,8 @@ class Measured:
     image, incidence : ndarray of int64, shape (N,)
         Numbers of the image and of the incidence of every sample. They count on from one channel
         to the next.
+    dome : DomeMap, optional
+        By which the directions were corrected.
     """
 
     metadata: Metadata
@@ -43,6 +46,7 @@ class Measured:
     images: Sequence[ImageCells]
     image: NDArray[np.int64]
     incidence: NDArray[np.int64]
+    dome: DomeMap | None = None
 
     @property
     def value(self) -> FloatArray:
@@ -67,6 +71,15 @@ class Measured:
         """Mean column and row of every sample, shape (N,) each."""
         columns, rows = np.concatenate([image.at.T for image in self.images], axis=1)
         return columns, rows
+
+    def left_by_map(self, shift: FloatArray) -> FloatArray:
+        """Shifts (N, 3) of directions, as far as the map of the dome did not remove them."""
+        if self.dome is None:
+            return shift
+        lab = np.concatenate([rotated(image.centroid, -image.psi) for image in self.images])
+        after, before = self.dome.sd(lab)
+        left = np.sqrt(np.mean(after**2, axis=1)) / before
+        return np.asarray(np.where(left > UNKNOWN, 1.0, left)[:, None] * shift)
 
     def in_sample_frame(self, shift: FloatArray) -> FloatArray:
         """Shifts (N, 3) from the laboratory to the frame of the sample, across the directions."""

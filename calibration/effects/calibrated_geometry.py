@@ -24,7 +24,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
             yield RECORDS[name].shared(
                 name=f"{name}, mode {number}",
                 meaning=f"{RECORDS[name].meaning}: mostly {', '.join(mode.quantities)}",
-                shift=measured.in_sample_frame(mode.shift),
+                shift=measured.left_by_map(measured.in_sample_frame(mode.shift)),
             )
 
 

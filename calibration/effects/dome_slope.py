@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gonio.calibration.effects.base import Effect, Measured, StatedQuantity, TermRecord, Unknown
+from gonio.dome_map import DomeMap
 from gonio.geometry import FloatArray, rotated
 from gonio.shared_term import SharedTerm
 
@@ -53,7 +54,12 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
         distance = [np.clip((lab - mirror) @ axis, -reach, reach) / reach for axis in axes]
         for kept, (_, _, component, slope_along) in zip(patterns, _PATTERNS, strict=True):
             grows = np.ones(len(lab)) if slope_along is None else distance[slope_along]
-            shift = size * grows[:, None] * axes[component]
+            left = (
+                1.0
+                if measured.dome is None
+                else _left(measured.dome, mirror, axes, reach, component, slope_along)
+            )
+            shift = left * size * grows[:, None] * axes[component]
             # Only the part across the direction turns it.
             shift = shift - np.sum(shift * lab, axis=1, keepdims=True) * lab
             kept.append(rotated(shift, part.psi))
@@ -64,13 +70,32 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
         yield record.shared(group=group, shift=np.concatenate(shifts))
 
 
+def _left(
+    dome: DomeMap,
+    mirror: FloatArray,
+    axes: tuple[FloatArray, FloatArray],
+    reach: float,
+    component: int,
+    slope_along: int | None,
+) -> float:
+    """What a map of the dome leaves of a pattern at the mirror direction, as a part of it."""
+    if slope_along is None:
+        where, weight = mirror[None], [1.0]
+    else:
+        step = reach / 4 * axes[slope_along]
+        where, weight = np.stack([mirror + step, mirror - step]), [1.0, -1.0]
+        where = where / np.linalg.norm(where, axis=1, keepdims=True)
+    return dome.remaining(where, np.broadcast_to(axes[component], where.shape), weight)
+
+
 EFFECT = Effect(
     key="dome_slope",
     order=40,
     title="slope errors of the dome",
     text="The dome's surface is tilted by small angles that are correlated over some length. The "
     "field is unknown. A shift, two stretches and two shears of the lobe at each incidence "
-    "represent it. `gonio design` uses drawn fields instead.",
+    "represent it. A map of the dome (`gonio calibrate dome`) corrects directions and leaves what it "
+    "does not know of these five. `gonio design` uses drawn fields instead.",
     records=RECORDS,
     terms=terms,
     unknown=(Unknown("slope errors of the dome", "limits.slope_error_deg"),),

@@ -15,7 +15,7 @@ def terms(measured: Measured) -> Iterator[SharedTerm]:
     """Exact direction minus that of eq. (3), if the session is mapped by eq. (3)."""
     if measured.pixel_map.mapping == "eq3":
         shift = left_out(measured.pixel_map, *measured.pixels)
-        yield RECORD.shared(shift=measured.in_sample_frame(shift))
+        yield RECORD.shared(shift=measured.left_by_map(measured.in_sample_frame(shift)))
 
 
 EFFECT = Effect(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.calibration.reduction import cells
+from gonio.dome_map import DomeMap
 from gonio.errors import DataError
 from gonio.geometry import FloatArray, angles, equal_area
 from gonio.metadata import Metadata
@@ -46,8 +47,8 @@ class PixelTable:
     phi_r: FloatArray
 
     @classmethod
-    def of(cls, metadata: Metadata, pixel_map: PixelMap) -> PixelTable:
-        """The pixels of a session.
+    def of(cls, metadata: Metadata, pixel_map: PixelMap, dome: DomeMap | None = None) -> PixelTable:
+        """The pixels of a session; a map of the dome corrects where they look.
 
         Raises
         ------
@@ -56,7 +57,12 @@ class PixelTable:
         """
         camera, geometry = metadata.camera, metadata.geometry
         columns, rows = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
-        w_r = pixel_map.directions(columns, rows)
+
+        def directions(columns: FloatArray, rows: FloatArray) -> FloatArray:
+            mapped = pixel_map.directions(columns, rows)
+            return mapped if dome is None else dome.corrected(mapped)
+
+        w_r = directions(columns, rows)
         theta_r, phi_r = angles(w_r)
         index = np.flatnonzero(theta_r <= np.radians(geometry.usable_theta_r_deg))
         if len(index) == 0:
@@ -72,11 +78,7 @@ class PixelTable:
         # Gauss-Legendre points of order 2 in each direction integrate over the pixel's area.
         half = 0.5 / np.sqrt(3)
         points = np.stack(
-            [
-                pixel_map.directions(columns + dx, rows + dy)
-                for dx in (-half, half)
-                for dy in (-half, half)
-            ],
+            [directions(columns + dx, rows + dy) for dx in (-half, half) for dy in (-half, half)],
             axis=1,
         )
         return cls(

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gonio.calibration import effects
 from gonio.calibration.dome import geometry_file
@@ -14,6 +17,7 @@ from gonio.calibration.reduction.image import Progress, cells_of_session
 from gonio.calibration.reduction.pixel_table import PixelTable
 from gonio.calibration.reduction.samples import samples_of
 from gonio.calibration.reflector import Mapping
+from gonio.dome_map import LEARNT, DomeMap
 from gonio.errors import ConfigurationError
 from gonio.metadata import Metadata
 from gonio.samples import BRDFSamples
@@ -25,6 +29,7 @@ def reduce(
     *,
     mapping: Mapping = "eq3",
     geometry: str | Path | None = None,
+    dome: DomeMap | str | Path | None = None,
     retro: bool = False,
     force: bool = False,
     threads: int | None = None,
@@ -42,6 +47,9 @@ def reduce(
         where the session has them.
     geometry : path, optional
         File of a geometry by `gonio calibrate alignment`; it replaces what the session states.
+    dome : DomeMap or path, optional
+        Map of the dome by `gonio calibrate dome`, made of other sessions on the rig: it corrects
+        directions, and its uncertainty replaces that of the dome's slope errors.
     retro : bool
         Keep the pixels that look through the patch of the dome where the lamp's beam enters, as
         samples of their own with the flag `FLAG_ENTRY`. Their light returns to the lamp; the
@@ -92,17 +100,31 @@ def reduce(
         session = Session.open(session)
     session.require_complete()
     metadata, pixel_map, held = _located(session.metadata, mapping, geometry)
-    table = PixelTable.of(metadata, pixel_map)
+    chart = dome if dome is None or isinstance(dome, DomeMap) else DomeMap.load(dome)
+    if chart is not None:
+        chart.check(
+            rig=metadata.rig, shape=metadata.geometry.shape, mapping=mapping,
+            session=session.sha256,
+        )  # fmt: skip
+    table = PixelTable.of(metadata, pixel_map, chart)
 
     work = partial(cells_of_session, table, retro=retro, threads=threads, progress=progress)
     images, findings = inspected(session, metadata, table.theta_r, table.phi_r, work, force=force)
-    samples = samples_of(metadata, pixel_map, effects.corrected(metadata, images))
+    samples = samples_of(metadata, pixel_map, effects.corrected(metadata, images), chart)
     lines = [finding.line for finding in findings]
     if held:
         undetermined = ", ".join(held)
         lines.insert(
             0, f"geometry: {undetermined} not determined by the alignment, as stated before"
         )
+    known: dict[str, Any] = {}
+    if chart is not None:
+        share = 100 * float(np.mean(chart.known < LEARNT))
+        lines.insert(
+            0, f"slope errors of the dome: corrected by a map of {len(chart.sessions)} other "
+            f"session(s), which knows {share:.0f} % of the dome"
+        )  # fmt: skip
+        known["dome_map"] = {"rig": chart.rig, "sessions": list(chart.sessions)}
     return replace(
         samples,
         history=(*samples.history, *lines),
@@ -110,6 +132,7 @@ def reduce(
             **samples.metadata,
             "session": str(session.path),
             "session_sha256": session.sha256,
+            **known,
             "findings": [asdict(finding) for finding in findings],
         },
     )

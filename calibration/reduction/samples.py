@@ -11,6 +11,7 @@ from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.calibration.effects.base import Measured
 from gonio.calibration.frames import standard
 from gonio.calibration.image_cells import ImageCells
+from gonio.dome_map import DomeMap
 from gonio.errors import DataError
 from gonio.geometry import Directions, angles
 from gonio.metadata import Metadata
@@ -18,7 +19,12 @@ from gonio.samples import FLAG_ENTRY, FLAG_PARTIAL, BRDFSamples, Cells
 from gonio.wording import counted
 
 
-def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells]) -> BRDFSamples:
+def samples_of(
+    metadata: Metadata,
+    pixel_map: PixelMap,
+    parts: list[ImageCells],
+    dome: DomeMap | None = None,
+) -> BRDFSamples:
     """Put the images' cells together, with the errors they share.
 
     Parameters
@@ -27,6 +33,8 @@ def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells])
     pixel_map : PixelMap
     parts : list of ImageCells
         In the order of channels, incidences and rotations.
+    dome : DomeMap, optional
+        By which the directions were corrected.
 
     Raises
     ------
@@ -72,7 +80,7 @@ def samples_of(metadata: Metadata, pixel_map: PixelMap, parts: list[ImageCells])
         # Where the standard was taken once every image uses it; that each has a background of its
         # own is left out, which errs on the safe side.
         reference_sharing=len(metadata.plan.theta_i_deg) * rotations if alone else rotations,
-        shared=effects.shared_terms(Measured(metadata, pixel_map, parts, image, incidence)),
+        shared=effects.shared_terms(Measured(metadata, pixel_map, parts, image, incidence, dome)),
         solid_angle=np.concatenate([part.solid_angle for part in parts]),
         flags=(partial * FLAG_PARTIAL + entry * FLAG_ENTRY).astype(np.uint8),
         image=image,
@@ -108,6 +116,7 @@ def _rig(metadata: Metadata, pixel_map: PixelMap) -> dict[str, Any]:
         "identity": metadata.rig,
         "instrument": metadata.instrument,
         "shape": geometry.shape,
+        "mapping": pixel_map.mapping,
         "R_mm": geometry.R,
         "D_mm": geometry.D,
         "slope_error_deg": limits.slope_error_deg,

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from gonio.dome_map import LEARNT
 from gonio.fitting.dome_field.evidence import LOG_SD
 from gonio.fitting.dome_field.held_out import Prediction, predictions
 from gonio.fitting.dome_field.solve import Joint
 from gonio.geometry import FloatArray
 
-LEARNT = 0.9  # posterior over prior sd above which nothing is known of a direction
 IMPLAUSIBLE = 1e-3  # chance below which a field does not follow its prior
 LARGE = 3.0  # standard deviations of the statement by which a field may be larger
 

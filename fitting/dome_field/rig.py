@@ -22,8 +22,8 @@ class Rig:
     Parameters
     ----------
     identity, instrument : str
-    shape : str
-        Of the dome.
+    shape, mapping : str
+        Of the dome, and how pixels became directions.
     R, D : float
         mm.
     prior : FieldPrior
@@ -35,6 +35,7 @@ class Rig:
     identity: str
     instrument: str
     shape: str
+    mapping: str
     R: float
     D: float
     prior: FieldPrior
@@ -57,6 +58,11 @@ class Rig:
                 f"{name} do not say on which rig they were measured, and the slope errors of its "
                 f"dome cannot be found; {_AGAIN}."
             )
+        if "dome_map" in samples.metadata:
+            raise ConfigurationError(
+                f"{name} were reduced with a map of the dome, which has been found already; fit "
+                "them without self-calibration, or reduce the session without the map."
+            )
         if samples.quantity != "BRDF":
             raise DataError(f"{name} are a {samples.quantity}; give samples in reflection.")
         if samples.channel is not None and len(set(samples.channel.tolist())) > 1:
@@ -76,7 +82,8 @@ class Rig:
             correlation=float(np.radians(stated["slope_correlation_deg"])),
         )
         return cls(
-            identity, stated["instrument"], stated["shape"], stated["R_mm"], stated["D_mm"], prior,
+            identity, stated["instrument"], stated["shape"],
+            stated["mapping"], stated["R_mm"], stated["D_mm"], prior,
             samples.metadata["session_sha256"],
         )  # fmt: skip
 
@@ -91,6 +98,12 @@ def common_rig(rigs: list[Rig]) -> Rig:
     """
     first = rigs[0]
     for other in rigs[1:]:
+        if other.mapping != first.mapping:
+            raise ConfigurationError(
+                f"the sessions were reduced with mapping {first.mapping!r} and {other.mapping!r}; "
+                "reduce all with one.",
+                value=other.mapping,
+            )
         if (other.identity, other.shape) != (first.identity, first.shape):
             raise ConfigurationError(
                 f"sessions of two rigs, {first.identity!r} and {other.identity!r}: each dome has "

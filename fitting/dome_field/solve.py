@@ -87,15 +87,12 @@ def solve(minima: Sequence[Minimum], stated: FieldPrior) -> Joint:
     """
     problems = [minimum.problem for minimum in minima]
     draws, n_draws = numbered(problems)
-    theta = max(
-        float(np.max(np.broadcast_to(p.samples.directions.theta_r, p.n))) for p in problems
-    )
+    theta = max(float(np.max(np.broadcast_to(p.samples.directions.theta_r, p.n))) for p in problems)
 
     def set_up(prior: FieldPrior) -> _Search:
         nodes = Nodes.on_cap(prior, theta, MOST_NODES)
         parts = tuple(
-            Part.of(problem, nodes, own)
-            for problem, own in zip(problems, draws, strict=True)
+            Part.of(problem, nodes, own) for problem, own in zip(problems, draws, strict=True)
         )
         layout = Layout(tuple(len(m.optimum.p) for m in minima), len(nodes), n_draws)
         return _Search(parts, nodes, layout, Prior.of(nodes, layout))
@@ -124,9 +121,7 @@ def solve(minima: Sequence[Minimum], stated: FieldPrior) -> Joint:
 class _Search:
     """Steps from one state to the next; it keeps the last linearisation."""
 
-    def __init__(
-        self, parts: tuple[Part, ...], nodes: Nodes, layout: Layout, prior: Prior
-    ) -> None:
+    def __init__(self, parts: tuple[Part, ...], nodes: Nodes, layout: Layout, prior: Prior) -> None:
         self.parts, self.nodes, self.layout, self.prior = parts, nodes, layout, prior
         self.limits = [_limits(part.problem) for part in parts]
         self.rows: tuple[Rows, ...] = ()

@@ -1,4 +1,4 @@
-"""`gonio calibrate`: lens and alignment of a rig, from photographs and frames taken for this."""
+"""`gonio calibrate`: lens, alignment and dome of a rig."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import rich_click as click
 from gonio.errors import unknown_name
 
 # Each is a file of this folder, calibrate_NAME.py.
-_SUBCOMMANDS = ("lens", "alignment")
+_SUBCOMMANDS = ("lens", "alignment", "dome")
 
 
 class _Subcommands(click.RichGroup):
@@ -32,4 +32,4 @@ class _Subcommands(click.RichGroup):
 
 @click.group(name="calibrate", cls=_Subcommands)
 def command() -> None:
-    """Calibrate the lens or the alignment of a rig from photographs or frames taken for this."""
+    """Calibrate lens, alignment or dome of a rig from photographs, frames of a mirror or samples."""

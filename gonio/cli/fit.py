@@ -71,6 +71,12 @@ _HINT = "Or fit them together with --share NAME,..., the parameters that they ha
     "the uncertainty budget of the session; the others are propagated. 'geometry' "
     "stands for every 'geometry, mode k'.",
 )
+@click.option(
+    "--self-calibrate",
+    is_flag=True,
+    help="Find the slope errors of the dome together with the material, from the samples of one "
+    "session.",
+)
 @posterior_options
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True,
               help="Seed of the random numbers.")  # fmt: skip
@@ -127,6 +133,7 @@ def command(
     engine: str,
     loss: str,
     nuisance: str,
+    self_calibrate: bool,
     posterior: bool,
     sampler: Any,
     priors: tuple[str, ...],
@@ -214,6 +221,7 @@ def command(
             threads=threads,
             cuts=cuts,
             **stated,
+            self_calibrate=self_calibrate,
             progress=callback,
         )
 

@@ -38,6 +38,12 @@ if TYPE_CHECKING:
     "session states.",
 )
 @click.option(
+    "--dome",
+    metavar="DOME.nc",
+    type=click.Path(path_type=Path),
+    help="Map of the dome, written by 'gonio calibrate dome' from other sessions on the rig.",
+)
+@click.option(
     "--retro",
     is_flag=True,
     help="Keep samples seen through the patch where the beam of the lamp enters the dome; "
@@ -60,6 +66,7 @@ def command(
     output: Path,
     mapping: Literal["eq3", "exact"],
     geometry: Path | None,
+    dome: Path | None,
     retro: bool,
     force: bool,
     threads: int | None,
@@ -94,6 +101,7 @@ def command(
             opened,
             mapping=mapping,
             geometry=geometry,
+            dome=dome,
             retro=retro,
             force=force,
             threads=threads,

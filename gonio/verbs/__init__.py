@@ -23,6 +23,7 @@ VERBS = {
     "check": "gonio.verbs.check",
     "calibrate_lens": "gonio.calibration.lens.from_photos",
     "calibrate_alignment": "gonio.calibration.dome.from_mirror",
+    "calibrate_dome": "gonio.fitting.dome_field.calibrate_dome",
     "boards": "gonio.verbs.boards",
     "doctor": "gonio.verbs.doctor",
 }
@@ -33,6 +34,7 @@ ROOMS = (
     "calibration",
     "checks",
     "data",
+    "dome_map",
     "errors",
     "files",
     "fitting",
@@ -68,6 +70,7 @@ PYTHON_NAMES = {
     "import": "import_rig",
     "calibrate lens": "calibrate_lens",
     "calibrate alignment": "calibrate_alignment",
+    "calibrate dome": "calibrate_dome",
     "instruments": "instrument",
 }
 

@@ -94,8 +94,8 @@ EFFECT = Effect(
     title="slope errors of the dome",
     text="The dome's surface is tilted by small angles that are correlated over some length. The "
     "field is unknown. A shift, two stretches and two shears of the lobe at each incidence "
-    "represent it. A map of the dome (`gonio calibrate dome`) corrects directions and leaves what it "
-    "does not know of these five. `gonio design` uses drawn fields instead.",
+    "represent it. A map of the dome (`gonio calibrate dome`) corrects directions and leaves what "
+    "it does not know of these five. `gonio design` uses drawn fields instead.",
     records=RECORDS,
     terms=terms,
     unknown=(Unknown("slope errors of the dome", "limits.slope_error_deg"),),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gonio.calibration.dome.pixel_map import PixelMap
 from gonio.calibration.reduction import cells
@@ -58,7 +58,7 @@ class PixelTable:
         camera, geometry = metadata.camera, metadata.geometry
         columns, rows = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
 
-        def directions(columns: FloatArray, rows: FloatArray) -> FloatArray:
+        def directions(columns: ArrayLike, rows: ArrayLike) -> FloatArray:
             mapped = pixel_map.directions(columns, rows)
             return mapped if dome is None else dome.corrected(mapped)
 

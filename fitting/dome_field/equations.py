@@ -119,7 +119,8 @@ def sums(
     for k, each in enumerate(rows):
         index, column, residual = each.index, each.column, each.residual
         if chosen is not None:
-            index, column, residual = (x[chosen[k]] for x in (index, column, residual))
+            own = chosen[k]
+            index, column, residual = index[own], column[own], residual[own]
         add_information(index, column, residual, 0, len(residual), gradient, information)
         chi2, n = chi2 + float(residual @ residual), n + len(residual)
     lower = np.tril(information, -1)

@@ -78,7 +78,8 @@ class Rig:
             )
         identity = stated["identity"] or f"{stated['instrument']}, unnamed"
         prior = FieldPrior(
-            *np.radians([REFLECTION_DOUBLES * slope, REFLECTION_DOUBLES * rim]).tolist(),
+            zenith=float(np.radians(REFLECTION_DOUBLES * slope)),
+            rim=float(np.radians(REFLECTION_DOUBLES * rim)),
             correlation=float(np.radians(stated["slope_correlation_deg"])),
         )
         return cls(

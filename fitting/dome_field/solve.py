@@ -191,7 +191,8 @@ class _Search:
 
     def field_data(self) -> FieldData:
         """What the samples say of the field about the last state."""
-        assert self.equations is not None and self.state is not None
+        assert self.equations is not None
+        assert self.state is not None
         gradient, information = self.prior.added(self.equations, self.state)
         inside = self.layout.field
         gradient[inside] = self.equations.gradient[inside]

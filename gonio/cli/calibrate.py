@@ -32,4 +32,4 @@ class _Subcommands(click.RichGroup):
 
 @click.group(name="calibrate", cls=_Subcommands)
 def command() -> None:
-    """Calibrate lens, alignment or dome of a rig from photographs, frames of a mirror or samples."""
+    """Calibrate the lens, the alignment or the dome of a rig."""

@@ -24,7 +24,7 @@ SMALLEST_PAGE = 0.85  # of the size that the page is made for
     metavar="|".join(KINDS),
     help="Draw a single plot instead of the page: the plane of incidence, the hemisphere of "
     "viewing directions, the residuals of a fit, raw frames, or the polar lobe, the "
-    "lobe in space or the albedo of a model.",
+    "lobe in space or the albedo of a model, or the map of a dome.",
 )
 @click.option(
     "-p",
@@ -74,13 +74,13 @@ def command(
     samples: Path | None,
     model: str | None,
 ) -> None:
-    """Draw a model, BRDF samples or a fit.
+    """Draw a model, BRDF samples, a fit or a map of a dome.
 
     INPUT is a FIT.json of 'gonio fit', a samples file, any BRDF file that gonio reads, a session,
-    or model:NAME, model:FILE.py or material:NAME. Without --kind, one page shows several plots; of
-    a model, the lobe is drawn. With a fit, its samples, posterior and raw frames are also drawn, if
-    the files exist. They are searched by their names in the current folder and in the folder of
-    INPUT.
+    a DOME.nc of 'gonio calibrate dome', or model:NAME, model:FILE.py or material:NAME. Without
+    --kind, one page shows several plots; of a model, the lobe is drawn. With a fit, its samples,
+    posterior and raw frames are also drawn, if the files exist. They are searched by their names in
+    the current folder and in the folder of INPUT.
     """
     named = source.startswith(SIGNS)
     given(model, Path(source))

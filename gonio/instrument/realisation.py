@@ -87,5 +87,5 @@ class Realisation:
 
 def _multibounce_scale(rig_seed: int, instrument: Instrument) -> float:
     """True g over the stated value, of a rig whatever its plans are."""
-    u = instrument.surroundings.multibounce_uncertainty
+    u = instrument.surroundings.multibounce_uncertainty or 0.0
     return max(1.0 + u * float(np.random.default_rng([rig_seed, 5]).standard_normal()), 0.0)

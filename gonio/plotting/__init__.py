@@ -11,12 +11,14 @@ puts them together. No function changes matplotlib's settings outside itself.
 - `albedo_curve`: directional albedo of a model;
 - `lobe_solid`: a model's lobe in space;
 - `corner`: the posterior of a fit;
+- `dome_map`: the slope errors of a dome and where they are known;
 - `resolution_map`: blur and coverage of an instrument over the hemisphere;
 - `summary`: all of these on one page, with the recovered parameters;
 - `save`: a figure as PNG, PDF or SVG, written whole or not at all.
 """
 
 from gonio.plotting.albedo import albedo_curve
+from gonio.plotting.dome import dome_map
 from gonio.plotting.frames import frames
 from gonio.plotting.hemisphere import hemisphere_map, hemisphere_samples, residual_map
 from gonio.plotting.lobe import slices
@@ -30,6 +32,7 @@ from gonio.plotting.summary import summary
 __all__ = [
     "albedo_curve",
     "corner",
+    "dome_map",
     "frames",
     "hemisphere_map",
     "hemisphere_samples",

@@ -1,4 +1,4 @@
-"""Plots of a model, BRDF samples, a session or a fit."""
+"""Plots of a model, BRDF samples, a session, a fit or a map of a dome."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import gonio.formats as formats
 import gonio.models as models
+from gonio.dome_map import DomeMap, is_dome_map
 from gonio.errors import ConfigurationError, DataError, unknown_name
 from gonio.fitting.part_choice import part_chooser
 from gonio.fitting.result import FitResult
@@ -33,6 +34,7 @@ KINDS = {
     "lobe": "model",
     "solid": "model",
     "albedo": "model",
+    "dome": "dome",
 }
 SIGNS = ("model:", "material:")
 
@@ -49,6 +51,7 @@ class _Content:
     draws: Any = None
     model: Model | None = None
     parameters: Mapping[str, float] | None = None
+    dome: DomeMap | None = None
 
     def has(self, what: str) -> bool:
         """Whether one of the named data is present, as in "samples or model"."""
@@ -66,7 +69,7 @@ class _Reader:
 
 
 def plot(
-    source: Model | FitResult | BRDFSamples | Session | Path | str,
+    source: Model | FitResult | BRDFSamples | Session | DomeMap | Path | str,
     kind: str | None = None,
     *,
     parameters: Mapping[str, float] | None = None,
@@ -76,17 +79,17 @@ def plot(
     note: Note | None = None,
     progress: StagedProgress | None = None,
 ) -> Figure:
-    """Draw a model, BRDF samples, a session or a fit.
+    """Draw a model, BRDF samples, a session, a fit or a map of a dome.
 
     Parameters
     ----------
-    source : Model, FitResult, BRDFSamples, Session, path or str
-        What to draw: an object; a FIT.json, a file of samples or the folder of a session; or
+    source : Model, FitResult, BRDFSamples, Session, DomeMap, path or str
+        What to draw: an object; a FIT.json, a DOME.nc, samples or the folder of a session; or
         "model:NAME" or "material:NAME". With a FIT.json, the samples, posterior and frames that it
         names are also drawn, if they exist.
     kind : str, optional
-        "summary", "slices", "hemisphere", "residuals", "frames", "lobe", "solid" or "albedo";
-        default: one page with all of them, or the lobe of a model.
+        "summary", "slices", "hemisphere", "residuals", "frames", "lobe", "solid", "albedo" or
+        "dome"; default: one page with all of them, the lobe of a model, or the dome of a map.
     parameters : mapping of str to float, optional
         Parameters of a model, radians for angles.
     samples : BRDFSamples or path, optional
@@ -133,6 +136,8 @@ def plot(
         )
     content = _content(source, parameters, samples, reader)
     kind = kind or ("lobe" if named else "summary")
+    if content.dome is not None and kind == "summary":
+        kind = "dome"
     if not content.has(KINDS[kind]):
         raise ConfigurationError(
             f"kind {kind} is drawn of {KINDS[kind]}, and {_called(source)} has none; it can be "
@@ -148,7 +153,7 @@ def _called(source: object) -> str:
 
 
 def _content(
-    source: Model | FitResult | BRDFSamples | Session | Path | str,
+    source: Model | FitResult | BRDFSamples | Session | DomeMap | Path | str,
     parameters: Mapping[str, float] | None,
     samples: BRDFSamples | str | Path | None,
     reader: _Reader,
@@ -168,6 +173,8 @@ def _content(
             return _Content(samples=_one_channel("the samples", chosen, reader.note))
         case Session():
             return _Content(session=source)
+        case DomeMap():
+            return _Content(dome=source)
         case str() if source.startswith(SIGNS):
             sign, _, name = source.partition(":")
             model, material = (name, None) if sign == "model" else (None, name)
@@ -182,6 +189,8 @@ def _read(source: Path, given: BRDFSamples | str | Path | None, reader: _Reader)
 
     if source.suffix == ".json":
         return _fitted(source, given, reader)
+    if given is None and is_dome_map(source):
+        return _Content(dome=DomeMap.load(source))
     if given is not None:
         raise ConfigurationError(f"samples go with a fit, and {source} is not one; leave them out.")
     samples, session = load_with_session(source, reader.select, progress=reader.progress)
@@ -246,6 +255,9 @@ def _drawn(kind: str, content: _Content) -> Figure:
     fit, samples, session = content.fit, content.samples, content.session
     model, values = content.model, content.parameters
     figures: dict[str, Callable[[], Figure]] = {}
+    if content.dome is not None:
+        dome = content.dome
+        figures["dome"] = lambda: _figure(*plotting.dome_map(dome))
     if samples is not None:
         figures["summary"] = lambda: plotting.summary(fit, samples, session, content.draws)
         figures["slices"] = lambda: _figure(plotting.slices(samples, fit))

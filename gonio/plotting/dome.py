@@ -84,7 +84,14 @@ def _arrows(ax: Axes, dome: DomeMap, edge: float) -> None:
     step = 1e-3
     end = directions + step * shift / np.maximum(np.max(np.abs(shift)), 1e-12)
     u, v = (b - a for a, b in zip((x[inside], y[inside]), equal_area(_unit(end)), strict=True))
-    ax.quiver(x[inside], y[inside], u, v, color=BLACK, width=0.003, zorder=4)
+    length = np.hypot(u, v)
+    # Nine of ten arrows are no longer than the distance of their feet; the others are cut.
+    usual = max(float(np.quantile(length, 0.9)), 1e-15)
+    size = np.minimum(length, usual) / usual * (2 * edge / _ARROWS) / np.maximum(length, 1e-15)
+    ax.quiver(
+        x[inside], y[inside], size * u, size * v, color=BLACK, width=0.003, zorder=4,
+        angles="xy", scale_units="xy", scale=1.0,
+    )  # fmt: skip
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

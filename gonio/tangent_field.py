@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from gonio.geometry import FloatArray, from_equal_area
 
 NEIGHBOURS = 12  # nodes from which a displacement between them is interpolated
-SPACING = 0.64  # of the correlation length: distance of the nodes, interpolated to 1e-3 of the sd
+SPACING = (
+    0.64  # of the correlation length: distance of the nodes; between them 1 % of the sd is lost
+)
 RIM_POWER = 6  # slope errors grow towards the rim as (theta / 90 deg)^6
 _NUGGET = 0.005  # of the sd, added to it at a node so that close nodes can be told apart
 _BLOCK = 16384

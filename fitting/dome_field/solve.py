@@ -21,6 +21,7 @@ _STEPS = 8
 _SETTLED = 0.3  # fall of chi-squared that further steps may promise
 _REFINED = 0.1  # change of the correlation length, as a part of it, for which nodes are set anew
 _HALVINGS = 4
+_ROUNDING = 1e-5  # of the number of samples: fall that approximate derivatives cannot reach
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,8 @@ def solve(minima: Sequence[Minimum], stated: FieldPrior) -> Joint:
     )  # fmt: skip
     before = sum(minimum.chi2 for minimum in minima)
     state = search.run(start, settled=50.0)  # near enough for the size of the field
+    if not search.settled:
+        return search.solution(state, stated, before)
     factor, stretch = refined(search.field_data(), search.nodes)
     prior = stated.scaled(factor, stretch)
     if abs(stretch - 1) > _REFINED:
@@ -127,28 +130,36 @@ class _Search:
         self.rows: tuple[Rows, ...] = ()
         self.equations: Equations | None = None
         self.state: State | None = None
-        self.settled = True
+        self.settled = False
 
     def run(self, state: State, *, settled: float) -> State:
-        """Step until the expected fall of chi-squared is below `settled`."""
-        inverse: list[FloatArray] | None = None
-        objective = self._linearise(state, inverse)
-        self.settled = True
-        for step_number in range(_STEPS):
+        """Step until the expected fall of chi-squared is below `settled`.
+
+        The weights are those of the first state: weights that moved on with the model would move
+        the minimum at every step.
+        """
+        objective = self._linearise(state, None)
+        weights = [rows.root**2 for rows in self.rows]
+        for _ in range(_STEPS):
             step, fall = self._step(state)
-            if fall < settled:
+            self.settled = fall < max(settled, _ROUNDING * self.n)
+            if self.settled:
                 return state
-            if step_number >= 1:
-                # Weights that move on with the model would move the minimum at every step.
-                inverse = [rows.root**2 for rows in self.rows]
             for halving in range(_HALVINGS + 1):
                 trial = state.moved(self.layout, step / 2**halving, self.limits)
-                reached = self._linearise(trial, inverse)
-                if reached <= objective * (1 + 1e-9) or step_number == 0:
+                reached = self._linearise(trial, weights)
+                if reached < objective:
                     break
+            else:
+                self._linearise(state, weights)
+                return state
             state, objective = trial, reached
-        self.settled = False
         return state
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return sum(part.problem.n for part in self.parts)
 
     def _linearise(self, state: State, inverse: list[FloatArray] | None) -> float:
         """Rows and sums about a state; chi-squared with the priors."""

@@ -74,6 +74,19 @@ def calibrate_dome(
         If the sessions are of different rigs, or the numbers of models and sessions differ.
     DataError
         If samples do not say on which rig they were measured.
+
+    Examples
+    --------
+    >>> import gonio, tempfile
+    >>> instrument = gonio.instrument.preset("modern12").with_pixels(52)
+    >>> plan = gonio.metadata.Plan(
+    ...     theta_i_deg=(20, 30), rotations_deg=(0,), exposures_s=instrument.sensor.exposures_s
+    ... )
+    >>> session = gonio.simulate("rolled_brass", output=tempfile.mkdtemp() + "/brass.gonio",
+    ...                          instrument=instrument, plan=plan)
+    >>> result = calibrate_dome(gonio.reduce(session), "ward")
+    >>> result.map.rig
+    'modern12, seed 0'
     """
     several = [samples] if isinstance(samples, BRDFSamples) else list(samples)
     models = [model] if isinstance(model, str | Model) else list(model)

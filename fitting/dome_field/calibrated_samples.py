@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.fitting.dome_field.equations import FLOOR
+from gonio.fitting.dome_field.equations import floor
 from gonio.fitting.dome_field.part import is_unknown
 from gonio.fitting.dome_field.posterior import Uncertainty, change_of_samples, modes
 from gonio.fitting.dome_field.solve import Joint
@@ -53,7 +53,7 @@ def calibrated_samples(joint: Joint, uncertainty: Uncertainty, number: int) -> B
         phi_r - turn,
     )
     shared = tuple(term for term in samples.shared if not (term.typical or is_unknown(term)))
-    floor = FLOOR * joint.rows[number].slope.f
+    left = floor(joint.rows[number].slope)
 
     def scaled(column: FloatArray | None, more: FloatArray | float = 0.0) -> FloatArray | None:
         return None if column is None else np.sqrt(column**2 + more**2) / np.abs(factor)
@@ -62,7 +62,7 @@ def calibrated_samples(joint: Joint, uncertainty: Uncertainty, number: int) -> B
         samples,
         directions=directions,
         value=(samples.value - offset) / factor,
-        u_independent=scaled(samples.u_independent, floor * factor),
+        u_independent=scaled(samples.u_independent, left),
         u_reference=scaled(samples.u_reference),
         noise_slope=None if samples.noise_slope is None else samples.noise_slope / factor,
         shared=(*shared, *_unknown_still(joint, uncertainty, number), *_floor(joint, number)),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.problem.protocol import Problem
 from gonio.geometry import FloatArray, rotated
-from gonio.samples import SharedTerm
+from gonio.samples import Cells, SharedTerm
 from gonio.tangent_field import Interpolation, Nodes, tangents
 
 STEP = 1e-5  # radians, over which derivatives by direction are taken
@@ -62,6 +62,8 @@ class Slope:
         The model's values at the moved directions, and F.
     factor : ndarray, shape (N,)
         F = factor f + offset.
+    blur : ndarray, shape (N,)
+        f less the model's value at the centre of the sample's cell; 0 for points.
     by_parameter : ndarray, shape (N, P)
     by_draw : ndarray, shape (N, T)
         By the draw of each term.
@@ -72,6 +74,7 @@ class Slope:
     f: FloatArray
     value: FloatArray
     factor: FloatArray
+    blur: FloatArray
     by_parameter: FloatArray
     by_draw: FloatArray
     by_field: FloatArray
@@ -138,7 +141,8 @@ class Part:
             where = shift if by is None else shift + by
             return self.problem.with_directions(shift=where, turn=turn + more).values(p)
 
-        f, by_p = self.problem.with_directions(shift=shift, turn=turn).jacobian(p)
+        here = self.problem.with_directions(shift=shift, turn=turn)
+        f, by_p = here.jacobian(p)
         factor, offset = self.correction(z)
         axes = self.axes
         by_field = np.stack([(moved(STEP * axis) - f) / STEP for axis in axes], axis=1)
@@ -150,6 +154,7 @@ class Part:
             f=f,
             value=factor * f + offset,
             factor=factor,
+            blur=f - here.values(p, _centres(here.cells)),
             by_parameter=factor[:, None] * by_p,
             by_draw=np.stack(by_draw, axis=1) if by_draw else np.zeros((len(f), 0)),
             by_field=factor[:, None] * by_field,
@@ -181,6 +186,14 @@ class Part:
             return np.asarray(factor * term.turn * (moved(more=STEP) - f) / STEP)
         change = relative * f
         return np.asarray(change if term.offset is None else change + term.offset)
+
+
+def _centres(cells: Cells) -> Cells:
+    """Cells of one member each, at the weighted mean of the members."""
+    n = len(cells.offsets) - 1
+    mean = np.add.reduceat(cells.weight[:, None] * cells.w_r, cells.offsets[:-1])
+    mean /= np.sqrt(np.einsum("nk,nk->n", mean, mean))[:, None]
+    return Cells(mean, np.ones(n), np.arange(n + 1, dtype=np.int64))
 
 
 def azimuths(problem: Problem) -> FloatArray:

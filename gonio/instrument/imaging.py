@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 
 _MOST_EVALUATIONS = 100_000  # of f for one albedo
+_PAIRED = 16  # rays from which on each has its opposite: odd moments, a lobe's skew, are 0
 _BLOCK = 4096  # pixels per block of work: a few MB of rays
 
 
@@ -49,8 +50,12 @@ def ray_pattern(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     if n == 1:
         zero = np.zeros((1, 2))
         return zero, zero, zero
-    points = qmc.Sobol(6, scramble=True, rng=20).random(n) - 0.5
-    points -= points.mean(axis=0)
+    if n < _PAIRED:
+        points = qmc.Sobol(6, scramble=True, rng=20).random(n) - 0.5
+        points -= points.mean(axis=0)
+    else:
+        half = qmc.Sobol(6, scramble=True, rng=20).random(n // 2) - 0.5
+        points = np.concatenate([half, -half])
     values, vectors = np.linalg.eigh(points.T @ points / n)
     points = points @ (vectors / np.sqrt(values)) @ vectors.T
     return points[:, :2] / np.sqrt(12), points[:, 2:4] / 2, points[:, 4:] / 2

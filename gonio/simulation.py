@@ -130,8 +130,9 @@ def simulate(
     plan = _completed(virtual, plan, surface)
     recipe = _recipe(virtual, surface, plan, seeds)
     fingerprint = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    of_rig = f"seed {seed}" if rig_seed is None else f"rig seed {rig_seed}"
-    rig = f"{virtual.name}, {of_rig}"
+    # An operator knows a rig by its number, which tells nothing of what was drawn.
+    own = seed if rig_seed is None else rig_seed
+    rig = f"{virtual.name} no. {hashlib.sha256(f'rig {own}'.encode()).hexdigest()[:8]}"
     session = Session.create(output, metadata(virtual, plan, surface.name, fingerprint, rig))
     realisation = Realisation.from_seeds(
         seed, virtual, plan, rig_seed=rig_seed, standard_seed=standard_seed
@@ -274,6 +275,7 @@ def _write_truth(
         **recipe,
         "standard_scale": realisation.standard_scale,
         "multibounce_scale": realisation.multibounce_scale,
+        "half_angle_scale": realisation.half_angle_scale,
         "azimuth_deg": float(np.degrees(realisation.azimuth)),
         "lamp": realisation.lamp.ravel().tolist(),  # channels of an image stand together
         "entry_transmittance": [{"theta_i_deg": a, "relative": t} for a, t in entry.items()],
@@ -301,7 +303,8 @@ def _record(
         realisation.multibounce_scale,
         realisation.azimuth,
     )
-    images = Images(instrument, surface, plan, fixed, threads=threads)
+    true = realisation.instrument(instrument)
+    images = Images(true, surface, plan, fixed, threads=threads)
     truth = _truth_images(session, images) if truth_images else None
     writer = ThreadPoolExecutor(1)
     pending: deque[Future[None]] = deque()

@@ -40,7 +40,7 @@ def drawn(seed: int = 0, informed: int = 20) -> DomeMap:
     root = np.kron(np.eye(2), nodes.root)
     q, _ = np.linalg.qr(rng.normal(size=(2 * k, informed)))
     return DomeMap(
-        rig="modern12, rig seed 3", instrument="modern12", shape="ellipsoid", mapping="eq3",
+        rig="modern12 no. ea63f2b4", instrument="modern12", shape="ellipsoid", mapping="eq3",
         R=150.0, D=15.0, nodes=nodes, stated=prior,
         mean=(root @ rng.normal(size=2 * k)).reshape(2, k), gain=0.99 * root @ q,
         sessions=("a" * 64,), findings={"share": 0.9},
@@ -122,14 +122,14 @@ def test_nodes_have_the_tangents_of_the_zenith_everywhere():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"rig": "other"}, "the map is that of the dome of 'modern12, rig seed 3'.*with 'other'"),
+        ({"rig": "other"}, "the map is that of the dome of 'modern12 no. ea63f2b4'.*with 'other'"),
         ({"rig": None}, "with 'a rig without a name'"),
         ({"mapping": "exact"}, "reduce with --mapping eq3"),
         ({"session": "a" * 64}, "noise would count twice; fit its samples with --self-calibrate"),
     ],
 )
 def test_a_map_is_refused_where_it_does_not_belong(change, words):
-    own = {"rig": "modern12, rig seed 3", "shape": "ellipsoid", "mapping": "eq3", "session": "b"}
+    own = {"rig": "modern12 no. ea63f2b4", "shape": "ellipsoid", "mapping": "eq3", "session": "b"}
     drawn().check(**own)
     with pytest.raises(ConfigurationError, match=words):
         drawn().check(**(own | change))
@@ -203,7 +203,7 @@ def dome(rig) -> Path:
     assert code == 0, err
     document = json.loads(out)
     assert document["schema"] == "gonio.calibrate.dome/1"
-    assert document["rig"] == "modern12, rig seed 3"
+    assert document["rig"] == "modern12 no. ea63f2b4"
     assert document["failures"] == []
     assert document["findings"]["chi2_after"] == pytest.approx(1.0, abs=0.1)
     return folder / "dome.nc"
@@ -213,7 +213,7 @@ def test_samples_say_on_which_rig_they_were_measured(rig):
     _, one, two = rig
     for samples in (one, two):
         stated = samples.metadata["rig"]
-        assert stated["identity"] == "modern12, rig seed 3"
+        assert stated["identity"] == "modern12 no. ea63f2b4"
         assert (stated["R_mm"], stated["D_mm"], stated["shape"]) == (150.0, 15.0, "ellipsoid")
         assert (stated["slope_error_deg"], stated["rim_slope_error_deg"]) == (0.03, 0.2)
         turn = np.array(stated["turn_deg"])[samples.image]
@@ -265,7 +265,7 @@ def test_a_map_is_drawn(dome, tmp_path):
 
     figure = gonio.plot(dome)
     titles = [ax.get_title() for ax in figure.axes]
-    assert "dome of modern12, rig seed 3" in titles
+    assert "dome of modern12 no. ea63f2b4" in titles
     plt.close(figure)
     with pytest.raises(ConfigurationError, match="it can be drawn as dome"):
         gonio.plot(dome, "frames")

@@ -18,6 +18,12 @@ class Lamp(Part):
         "white surface lit at normal incidence, for a dome without losses",
     )
     half_angle_deg: float = Field(ge=0, le=5, description="half-angle of the source cone")
+    half_angle_uncertainty: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.3,
+        description="relative standard uncertainty of the half-angle; the rig's true one is drawn",
+    )
     lit_diameter_mm: float = Field(gt=0, description="diameter of the beam")
     drift: float = Field(ge=0, le=0.2, description="relative sd of the output, image to image")
     slow_drift: float = Field(

@@ -21,7 +21,16 @@ class Realisation:
     dome_seed: int  # the dome's slope errors and coating
     noise_seed: int
     multibounce_scale: float  # true g over the stated value
+    half_angle_scale: float = 1.0  # true half-angle of the lamp over the stated one
     azimuth: float = 0.0  # rotation of the sample that the plan does not include, radians
+
+    def instrument(self, nominal: Instrument) -> Instrument:
+        """The instrument with its true lamp; it records what the nominal one states."""
+        if self.half_angle_scale == 1.0:
+            return nominal
+        true = self.half_angle_scale * nominal.lamp.half_angle_deg
+        lamp = nominal.lamp.model_copy(update={"half_angle_deg": true})
+        return nominal.model_copy(update={"lamp": lamp})
 
     @classmethod
     def from_seeds(
@@ -42,7 +51,8 @@ class Realisation:
         instrument : Instrument
         plan : Plan
         rig_seed : int, optional
-            Of the dome's slope errors and coating, the camera's patterns and the multi-bounce.
+            Of the dome's slope errors and coating, the camera's patterns, the multi-bounce and the
+            lamp's cone.
         standard_seed : int, optional
             Of the standard's error; by default that of the rig, which has one standard.
         """
@@ -53,6 +63,7 @@ class Realisation:
                 session, pattern_seed=rig.pattern_seed, dome_seed=rig.dome_seed,
                 standard_scale=rig.standard_scale,
                 multibounce_scale=_multibounce_scale(rig_seed, instrument),
+                half_angle_scale=rig.half_angle_scale,
             )  # fmt: skip
         if standard_seed is not None:
             standard = cls.from_seed(standard_seed, instrument, plan)
@@ -81,7 +92,7 @@ class Realisation:
         pattern, dome, noise = (int(s) for s in seeds)
         return cls(
             float(standard), lamp, pattern, dome, noise, max(multibounce, 0.0),
-            float(np.radians(azimuth)),
+            _half_angle_scale(seed, instrument), float(np.radians(azimuth)),
         )  # fmt: skip
 
 
@@ -89,3 +100,9 @@ def _multibounce_scale(rig_seed: int, instrument: Instrument) -> float:
     """True g over the stated value, of a rig whatever its plans are."""
     u = instrument.surroundings.multibounce_uncertainty or 0.0
     return max(1.0 + u * float(np.random.default_rng([rig_seed, 5]).standard_normal()), 0.0)
+
+
+def _half_angle_scale(rig_seed: int, instrument: Instrument) -> float:
+    """True half-angle of the lamp's cone over the stated one, by a generator of its own."""
+    u = instrument.lamp.half_angle_uncertainty
+    return max(1.0 + u * float(np.random.default_rng([rig_seed, 6]).standard_normal()), 0.1)

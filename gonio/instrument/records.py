@@ -115,6 +115,7 @@ def _lamp(instrument: Instrument, plan: Plan) -> LampRecord:
     wandered = lamp.slow_drift * len(plan.theta_i_deg) ** 0.5
     return LampRecord(
         half_angle_deg=lamp.half_angle_deg,
+        u_half_angle_deg=lamp.half_angle_uncertainty * lamp.half_angle_deg,
         drift=float((lamp.drift**2 + wandered**2) ** 0.5) if wandered else lamp.drift,
     )
 

@@ -68,7 +68,7 @@ def ray_pattern(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _disc(square: FloatArray) -> FloatArray:
-    """Points of [-1/2, 1/2]^2 on the unit disc, equal areas to equal areas (Shirley & Chiu 1997)."""
+    """Points of [-1/2, 1/2]^2 on the unit disc by equal areas (Shirley & Chiu 1997)."""
     x, y = 2 * square.T
     steep = np.abs(y) > np.abs(x)
     radius = np.where(steep, y, x)

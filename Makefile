@@ -40,7 +40,7 @@ demo: $(INSTALLED)  ## simulate, reduce, fit and plot one material into demo/
 	@mkdir -p demo
 	gonio simulate rolled_aluminum --seed 1 -o demo/rolled_aluminum.gonio
 	gonio reduce demo/rolled_aluminum.gonio -o demo/rolled_aluminum.nc
-	gonio fit demo/rolled_aluminum.nc --model ward --posterior --seed 1 --truth demo/rolled_aluminum.gonio -o demo/rolled_aluminum.json
+	gonio fit demo/rolled_aluminum.nc --model ward --self-calibrate --posterior --seed 1 --truth demo/rolled_aluminum.gonio -o demo/rolled_aluminum.json
 	gonio plot demo/rolled_aluminum.json -o demo/rolled_aluminum.png
 
 # A process for each core, and one thread of BLAS in each: more would wait for each other's core. A

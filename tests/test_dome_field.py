@@ -251,10 +251,14 @@ def test_a_matte_sample_teaches_nothing():
 
 def test_what_was_done_is_said():
     result = gonio.fit(measured(1), model="ward", self_calibrate=True)
-    first = result.warnings[0]
+    found = result.diagnostics["self_calibration"]
+    first, second = found["notes"]
     assert first.startswith("self-calibrated: with the dome's slope errors as unknowns chi2/n is")
     assert "of the misfit" in first
-    found = result.diagnostics["self_calibration"]
+    assert "of the directions are known better than before" in second
+    # These are no warnings, and the table shows them.
+    assert not result.warnings
+    assert f"\n{first}\n{second}\n" in str(result)
     assert found["share"] == pytest.approx(1 - found["chi2_after"] / found["chi2_before"])
     assert found["share"] > 0.8
     assert {p["fails"] for p in found["predictions"]} == {False}

@@ -283,4 +283,4 @@ def test_self_calibration_from_the_command_line(rig):
     document = json.loads(out)
     assert document["verdict"]["class"] == "fits"
     assert document["chi2"] / document["dof"] < 1.1
-    assert document["warnings"][0].startswith("self-calibrated: ")
+    assert document["diagnostics"]["self_calibration"]["notes"][0].startswith("self-calibrated: ")

@@ -32,7 +32,7 @@ def test_output_that_is_not_printed_is_found(shown, printed, line):
 def test_readme_shows_all_that_the_demo_prints():
     _, shown = next(step for step in steps(README) if step[0] == "make demo")
     text = "\n".join(shown)
-    for word in ("rho_d ", "alpha_y ", "chi2/dof", "posterior:", "residuals:", "warning:",
+    for word in ("rho_d ", "alpha_y ", "chi2/dof", "posterior:", "residuals:", "self-calibrated:",
                  "demo/rolled_aluminum.png"):  # fmt: skip
         assert word in text
     recipe = (ROOT / "Makefile").read_text(encoding="utf-8").partition("\ndemo: $(INST")[2]

@@ -14,6 +14,7 @@ from gonio.fitting.dome_field.solve import Joint
 from gonio.geometry import FloatArray
 
 IMPLAUSIBLE = 1e-3  # chance below which a field does not follow its prior
+MUCH = 2.0  # chi-squared a number: a statement of the size is good to a factor of 1.4
 LARGE = 3.0  # standard deviations of the statement by which a field may be larger
 
 
@@ -137,30 +138,36 @@ class Findings:
         return tuple(reasons)
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """Sentences for people."""
+    def notes(self) -> tuple[str, ...]:
+        """What was found, in sentences for people."""
         lines = [
             f"self-calibrated: with the dome's slope errors as unknowns chi2/n is "
             f"{self.chi2_after:.3g} instead of {self.chi2_before:.3g}; they and the lamp took "
             f"{100 * self.share:.3g} % of the misfit",
         ]
+        if not self.taught_nothing:
+            lines.append(
+                f"slope errors of the dome: {self.sd_factor:.2g} times the stated ones, correlated "
+                f"over {np.degrees(self.correlation):.2g} deg; {100 * self.known:.0f} % of the "
+                "directions are known better than before"
+            )
+        return tuple(lines)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user must know before the result is used."""
+        lines = []
         if self.taught_nothing:
             lines.append(
                 "the samples tell nothing of the dome's slope errors: their lobe is too wide. A "
                 "map of the dome from another sample helps"
             )
-            return tuple(lines)
-        lines.append(
-            f"slope errors {self.sd_factor:.2g} times the stated ones, correlated over "
-            f"{np.degrees(self.correlation):.2g} deg; {self.field_n} numbers of the field are "
-            f"informed, their chi2 is {self.field_chi2:.3g}; {100 * self.known:.0f} % of the "
-            "directions are known better than before"
-        )
-        if self.field_p < IMPLAUSIBLE:
+        elif self.field_p < IMPLAUSIBLE and self.field_chi2 > MUCH * self.field_n:
             lines.append(
-                "the field does not look as its statement says (correlation or growth to the rim)"
+                "the field does not look as its statement says (correlation or growth to the rim): "
+                f"chi2 of its {self.field_n} numbers is {self.field_chi2:.3g}"
             )
-        if not self.predictions:
+        if not (self.predictions or self.taught_nothing):
             lines.append(
                 "one rotation at one incidence cannot be predicted from others: nothing tests "
                 "whether the field hides a wrong model"
@@ -181,6 +188,7 @@ class Findings:
             "field_p": self.field_p,
             "known": self.known,
             "settled": self.settled,
+            "notes": list(self.notes),
             "predictions": [
                 {"left_out": p.left_out, "chi2": p.chi2, "n": p.n, "fails": p.fails}
                 for p in self.predictions

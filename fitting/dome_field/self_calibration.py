@@ -42,7 +42,7 @@ class SelfCalibration:
         return replace(
             result,
             verdict=verdict,
-            warnings=(*(f"{line}." for line in self.findings.lines), *result.warnings),
+            warnings=(*(f"{line}." for line in self.findings.warnings), *result.warnings),
             diagnostics={**result.diagnostics, "self_calibration": self.findings.to_dict()},
         )
 

@@ -65,6 +65,7 @@ def page(
     pieces.append(f"status: {record.status.replace('_', ' ')}{ratio}")
     allowance = record.diagnostics.get("allowance")
     pieces += [str(allowance["text"])] if allowance else []
+    pieces += record.diagnostics.get("self_calibration", {}).get("notes", [])
     if record.posterior is not None:
         pieces += posterior_lines(record.posterior)
     if record.nuisance:

@@ -92,7 +92,7 @@ def command(
 
 
 def _print(result: DomeCalibration, sources: tuple[Path, ...], output: Path) -> None:
-    for line in result.findings.lines:
+    for line in (*result.findings.notes, *result.findings.warnings):
         click.echo(f"- {line}.")
     for each in result.findings.predictions:
         click.echo(f"- left out: {each.left_out}: chi2/n of the prediction {each.ratio:.3g}.")

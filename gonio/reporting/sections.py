@@ -122,6 +122,8 @@ def parameters(fit: FitResult, stated: Statement) -> Markup:
     note = f"Intervals: {kind}."
     if allowance:
         note += f" The {allowance['text']}."
+    found = fit.diagnostics.get("self_calibration", {}).get("notes", [])
+    note += "".join(f" {line[:1].upper()}{line[1:]}." for line in found)
     if truth:
         note += (
             " The true values are those the session was simulated with; the fit did not use them."

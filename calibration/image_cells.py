@@ -44,6 +44,8 @@ class ImageCells:
         Whether these are the cells of the lamp's entry patch.
     left : float
         Relative standard error that the correction of multi-bounce leaves.
+    bend : ndarray, shape (n,), optional
+        Change of f by a nonlinearity of 1 per decade, sr^-1; None where nothing asks for it.
     """
 
     theta_i: float
@@ -63,3 +65,4 @@ class ImageCells:
     entry: bool
     channel: int
     left: float = 0.0
+    bend: FloatArray | None = None

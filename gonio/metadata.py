@@ -115,6 +115,19 @@ class Camera(_Record):
         le=2,
         description="response: counts above black are gain full_well (e-/full_well)^gamma",
     )
+    nonlinearity_per_decade: float = Field(
+        default=0.0,
+        ge=-0.05,
+        le=0.05,
+        description="what is left of a nonlinearity, for which the reduction corrects: counts "
+        "above black are further times 1 + nonlinearity_per_decade log10(e-/full_well)",
+    )
+    u_nonlinearity_per_decade: float | None = Field(
+        default=None,
+        ge=0,
+        le=0.05,
+        description="standard uncertainty of it; not given means unknown",
+    )
 
 
 class LampRecord(_Record):

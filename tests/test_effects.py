@@ -20,7 +20,7 @@ from gonio.terms_of_0_1 import properties
 
 EFFECTS = {effect.key: effect for effect in all_effects()}
 PROPERTIES = ("evaluation", "averages", "constant", "belongs_to")
-SINCE_0_1 = {"standard_shape"}  # effects that version 0.1 did not have
+SINCE_0_1 = {"standard_shape", "nonlinearity"}  # effects that version 0.1 did not have
 PLAN = Plan(theta_i_deg=(10.0, 50.0), rotations_deg=(0.0,), exposures_s=(1e-3,))
 
 

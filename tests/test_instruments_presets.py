@@ -201,6 +201,7 @@ class TestFiles:
         # What is not known is left out: TOML has no value for it.
         assert stated["channels"][0].pop("wavelength_nm") is None
         assert stated["standard"].pop("u_shape") is None
+        assert stated["sensor"].pop("u_nonlinearity_per_decade") is None
         assert tomllib.loads(text) == stated
 
     def test_parts_explain_every_setting(self):

@@ -70,7 +70,9 @@ def corrected(metadata: Metadata, parts: list[ImageCells]) -> list[ImageCells]:
         # f is linear in the counts: its variances scale with the square.
         means = part.means * np.array([factor, factor**2, factor**2, factor])[:, None]
         left = np.hypot(u_g * (rho_std - rho), g * u_rho)
-        done.append(replace(part, means=means, stray=part.stray * [factor, 1.0], left=float(left)))
+        bend = None if part.bend is None else part.bend * factor
+        stray = part.stray * [factor, 1.0]
+        done.append(replace(part, means=means, stray=stray, left=float(left), bend=bend))
     return done
 
 

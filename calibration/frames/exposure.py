@@ -19,6 +19,7 @@ from gonio.metadata import Camera
 
 GUARD = 0.9
 SATURATED = 0.98
+_PASSES = 12  # of a nonlinearity's inverse, each of which makes its error 50 times smaller
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def merge(bracket: NDArray[np.uint16], exposures_s: tuple[float, ...], camera: C
     n_used = np.zeros(shape, dtype=np.int64)
     saturated = np.zeros(shape, dtype=np.bool_)
     times = np.array(exposures_s)
-    if camera.gamma == 1:
+    if camera.gamma == 1 and not camera.nonlinearity_per_decade:
         _merge(bracket, times, camera.black_dn, top, value, time, n_used, saturated)
         value /= camera.gain_dn_per_e
         noise_e2 = n_used * ((camera.noise_dn**2 + 1 / 12) / camera.gain_dn_per_e**2)
@@ -96,7 +97,8 @@ def response_tables(camera: Camera) -> tuple[FloatArray, FloatArray]:
 
     Notes
     -----
-    counts - black = gain Q (e-/Q)^gamma with Q the full well is inverted, as an odd function so
+    counts - black = gain y (1 + n log10(y/Q)) is inverted, with y = Q (e-/Q)^gamma, Q the full well
+    and n the nonlinearity per decade, as an odd function so
     that noise about the black level has the mean 0. Read noise and rounding, s in counts, come
     after the response: on its curved inverse e(x) their mean is not 0, and what they add to
     second order, [e(x + s) + e(x - s)]/2 - e(x), is taken off. Their variance is the square of
@@ -120,8 +122,20 @@ def response_tables(camera: Camera) -> tuple[FloatArray, FloatArray]:
 
 def _electrons(counts: ArrayLike, camera: Camera) -> FloatArray:
     """Inverse of the response, odd about the black level."""
-    x = (np.asarray(counts, float) - camera.black_dn) / (camera.gain_dn_per_e * camera.full_well_e)
+    bent = (np.asarray(counts, float) - camera.black_dn) / camera.gain_dn_per_e
+    x = straightened(bent, camera) / camera.full_well_e
     return np.asarray(camera.full_well_e * np.sign(x) * np.abs(x) ** (1 / camera.gamma))
+
+
+def straightened(bent: FloatArray, camera: Camera) -> FloatArray:
+    """y of y (1 + n log10(y/Q)) = bent, with n the nonlinearity per decade; odd about 0.
+
+    The law ends at one electron, below which the response is in proportion.
+    """
+    y, n = bent, camera.nonlinearity_per_decade
+    for _ in range(_PASSES if n else 0):
+        y = bent / (1 + n * np.log10(np.maximum(np.abs(y), 1.0) / camera.full_well_e))
+    return y
 
 
 def average(rates: list[Rate]) -> Rate:

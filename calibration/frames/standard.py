@@ -57,6 +57,8 @@ class Reference:
         Variance of B, (e-/s)^2.
     one_background : bool
         B_0 is B: the background's noise is in both signals.
+    signal : tuple of Rate
+        S and B_0.
     usable : ndarray of bool
         Not saturated, bright enough, neither dead nor hot, and outside the lamp's entry patch.
     entry : ndarray of bool
@@ -75,6 +77,7 @@ class Reference:
     standard_variance: FloatArray
     background_variance: FloatArray
     one_background: bool
+    signal: tuple[Rate, Rate]
     usable: NDArray[np.bool_]
     entry: NDArray[np.bool_]
     dead: NDArray[np.bool_]
@@ -226,6 +229,7 @@ def reference(
         standard_variance=noise_of_signal / safe**2,
         background_variance=background.variance(background.value),
         one_background=standard_background is None,
+        signal=(standard, own),
         usable=good & ~entry,
         entry=good & (background.value - dark_e_per_s > limit_b),
         dead=dead,

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from gonio.calibration.frames import standard
+from gonio.calibration.frames import nonlinearity, standard
 from gonio.calibration.frames.exposure import Rate
 from gonio.calibration.frames.reader import FrameReader
 from gonio.calibration.image_cells import ImageCells
@@ -107,6 +107,10 @@ def _cells_of_image(
     cone = float(np.radians(metadata.lamp.half_angle_deg or 0.0)) / 2
     w_m, share, offsets = cells.members(first, last, weight_s, table.points, centroid, cone)
     psi = np.radians(metadata.plan.rotations_deg[rotation])
+    bend = None
+    if metadata.camera.u_nonlinearity_per_decade:
+        change = nonlinearity.change_of_f(f, measured, ref, metadata)
+        bend = cells.mean_of(first, last, weight_s, change.ravel()[at][:, None])[:, 0]
     return ImageCells(
         theta_i=float(np.radians(metadata.plan.theta_i_deg[incidence])),
         psi=float(psi),
@@ -129,6 +133,7 @@ def _cells_of_image(
         n_reference=0 if entry else int(np.count_nonzero(~ref.usable.ravel()[at])),
         entry=entry,
         channel=channel,
+        bend=bend,
     )
 
 

@@ -218,12 +218,16 @@ def _small_poisson(mean, u):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _digitise(electrons, h, well, gain, gamma, noise, black, top, out):  # type: ignore[no-untyped-def]
+def _digitise(electrons, h, well, gain, gamma, bend, noise, black, top, out):  # type: ignore[no-untyped-def]
     """Full well, response, gain, read noise, black level, ADC: counts of the first pixels."""
     if gamma != 1.0:
         for k in range(out.shape[0]):
             share = min(np.float64(electrons[k]) / well, 1.0)
             electrons[k] = F(well * share**gamma)
+    if bend != 0.0:
+        for k in range(out.shape[0]):
+            e = np.float64(min(electrons[k], F(well)))
+            electrons[k] = F(e * (1.0 + bend * math.log10(max(e, 1.0) / well)))
     for k in range(out.shape[0]):
         e = electrons[k] if electrons[k] < F(well) else F(well)
         x = F(gain) * e + F(noise) * h[k] + F(black + 0.5)
@@ -234,8 +238,9 @@ def _digitise(electrons, h, well, gain, gamma, noise, black, top, out):  # type:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _counts(  # type: ignore[no-untyped-def]
-    rate, time, dark, well, gain, gamma, noise, black, top, key0, key1, frame, first, table, out
-):
+    rate, time, dark, well, gain, gamma, bend, noise, black, top,
+    key0, key1, frame, first, table, out,
+):  # fmt: skip
     """Counts of consecutive pixels; `first` is a multiple of BLOCK."""
     a, b = np.empty(BLOCK, np.uint32), np.empty(BLOCK, np.uint32)
     u, g, h = np.empty(BLOCK, F), np.empty(BLOCK, F), np.empty(BLOCK, F)
@@ -255,7 +260,7 @@ def _counts(  # type: ignore[no-untyped-def]
         if n_dim > 0:
             _words(first + start, frame, _SMALL, key0, key1, a, b)
             _dim(mean, a, b, table, row, u, g, electrons)
-        _digitise(electrons, h, well, gain, gamma, noise, black, top, out[start : start + n])
+        _digitise(electrons, h, well, gain, gamma, bend, noise, black, top, out[start : start + n])
 
 
 @cache
@@ -303,6 +308,7 @@ def expose(
     seed: int,
     frame: int,
     gamma: float = 1.0,
+    nonlinearity_per_decade: float = 0.0,
     threads: int | None = None,
 ) -> NDArray[np.uint16]:
     """One raw frame.
@@ -321,6 +327,10 @@ def expose(
         Key of the generator (64 bits) and number of the frame (32 bits): one pair, one frame.
     gamma : float
         Response: counts above black are gain full_well (electrons/full_well)^gamma.
+    nonlinearity_per_decade : float
+        What is left of a nonlinearity: counts above black are further times
+        1 + nonlinearity_per_decade log10(electrons/full_well). Below one electron they are in
+        proportion.
     threads : int, optional
         Number of threads; the result does not depend on it.
 
@@ -336,8 +346,9 @@ def expose(
     def work(start: int, stop: int) -> None:
         _counts(
             flat[start:stop], float(time_s), float(dark_e_per_s), float(full_well_e),
-            float(gain_dn_per_e), float(gamma), float(noise_dn), float(black_dn),
-            float(saturation_dn), key0, key1, np.uint64(frame), start, table, out[start:stop],
+            float(gain_dn_per_e), float(gamma), float(nonlinearity_per_decade), float(noise_dn),
+            float(black_dn), float(saturation_dn), key0, key1, np.uint64(frame), start, table,
+            out[start:stop],
         )  # fmt: skip
 
     map_blocks(work, flat.size, threads=threads, block=_TASK)

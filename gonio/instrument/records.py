@@ -93,6 +93,9 @@ def _lens(instrument: Instrument) -> LensCalibration:
 
 def _camera(instrument: Instrument) -> Camera:
     sensor = instrument.sensor
+    u_nonlinearity = sensor.u_nonlinearity_per_decade
+    if u_nonlinearity is None and not sensor.nonlinearity_per_decade:
+        u_nonlinearity = 0.0  # the operator of a linear camera measured that it is linear
     rows, columns = sensor.shape
     pitch_x, pitch_y = (p * 1e-3 * sensor.binning for p in sensor.pitch_um)
     return Camera(
@@ -106,6 +109,7 @@ def _camera(instrument: Instrument) -> Camera:
         noise_dn=sensor.binned_noise_dn,
         dark_e_per_s=sensor.dark_e_per_s * sensor.n_summed,
         gamma=sensor.gamma,
+        u_nonlinearity_per_decade=u_nonlinearity,
     )
 
 

@@ -61,6 +61,20 @@ class Sensor(Part):
         le=2,
         description="response: counts above black are gain full_well (e-/full_well)^gamma",
     )
+    nonlinearity_per_decade: float = Field(
+        default=0.0,
+        ge=-0.05,
+        le=0.05,
+        description="what is left of a nonlinearity: counts above black are further "
+        "times 1 + nonlinearity_per_decade log10(e-/full_well)",
+    )
+    u_nonlinearity_per_decade: float | None = Field(
+        default=None,
+        ge=0,
+        le=0.05,
+        description="what the laboratory takes for its standard uncertainty about 0; left out, it "
+        "is unknown, but for a sensor that is linear",
+    )
     black_dn: float = Field(ge=0, description="black level: counts without light")
     exposures_s: tuple[float, ...] = Field(
         min_length=1, description="exposure times, in increasing order"
@@ -137,6 +151,7 @@ class Sensor(Part):
             "black_dn": self.binned_black_dn,
             "saturation_dn": self.saturation_dn,
             "gamma": self.gamma,
+            "nonlinearity_per_decade": self.nonlinearity_per_decade,
         }
 
     def centre_px(self) -> tuple[float, float]:

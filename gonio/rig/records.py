@@ -178,6 +178,8 @@ def _camera(camera: CameraTable, sampling: Sampling, rig: RigFile) -> Camera:
         noise_dn=float(np.sqrt(variance)),
         dark_e_per_s=n * camera.dark_e_per_s,
         gamma=camera.gamma,
+        nonlinearity_per_decade=camera.nonlinearity_per_decade,
+        u_nonlinearity_per_decade=camera.u_nonlinearity_per_decade,
     )
 
 

@@ -59,6 +59,23 @@ class TestRayPattern:
         expected = np.diag([1 / 12] * 2 + [1 / 4] * 4)
         np.testing.assert_allclose(both.T @ both / n, expected, atol=1e-13)
 
+    @pytest.mark.parametrize("n", [16, 32])
+    def test_few_rays_give_a_lobe_no_skew(self, n):
+        both = np.concatenate(imaging.ray_pattern(n), axis=1)
+        # All third moments of a symmetric source are 0: x^3, x^2 y and x y z.
+        third = np.einsum("na,nb,nc->abc", both, both, both) / n
+        np.testing.assert_allclose(third, 0, atol=1e-14)
+
+    @pytest.mark.parametrize("n", [16, 32, 64, 256])
+    def test_pupil_and_source_are_discs(self, n):
+        _, pupil, source = imaging.ray_pattern(n)
+        if n in (16, 32):
+            assert np.hypot(*pupil.T).max() < 1.1
+            assert np.hypot(*source.T).max() < 1.1
+        # E r^4 of a uniform disc is 1/3; the few rays of an image know it to a quarter.
+        for disc in (pupil, source):
+            assert np.mean(np.sum(disc**2, axis=1) ** 2) == pytest.approx(1 / 3, rel=0.25)
+
     def test_one_ray_is_the_chief_ray(self):
         assert all(np.all(part == 0) for part in imaging.ray_pattern(1))
 

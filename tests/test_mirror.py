@@ -145,11 +145,14 @@ class TestSpot:
             spot(small(), 0.0)
 
 
+def as_stated():
+    """A rig whose lamp's cone is as stated: a wider one would make the spots weaker."""
+    return small("modern12", n=104, lamp={"half_angle_deg": 1.5, "half_angle_uncertainty": 0.0})
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    # A cone that is as stated: a wider one would make the spots weaker.
-    lamp = {"half_angle_deg": 1.5, "half_angle_uncertainty": 0.0}
-    rig = small("modern12", n=104, lamp=lamp)
+    rig = as_stated()
     plan = mirror_plan(rig, wedge_deg=10.0)
     fewer = {"theta_i_deg": (-75.0, -30.0, 0.0, 45.0), "rotations_deg": (0.0, 90.0, 225.0)}
     path = tmp_path_factory.mktemp("mirror") / "mirror.gonio"
@@ -198,7 +201,7 @@ class TestSession:
         assert plan.exposures_s[1] == pytest.approx(4 * plan.exposures_s[0])
 
     def test_continues_after_an_interruption(self, recorded, tmp_path):
-        rig = small("modern12", n=104, lamp={"half_angle_deg": 1.5})
+        rig = as_stated()
 
         def stop(done, total):
             if done >= 13:

@@ -86,6 +86,10 @@ def test_samples_hold_what_their_fields_promise(reduced):
     assert origin.pop("session").endswith("session")
     unknown = ["geometry of the dome (geometry.uncertain)", "lens calibration (lens.uncertain)"]
     assert (origin.pop("findings"), origin.pop("unknown")) == ([], unknown)
+    rig = origin.pop("rig")
+    assert rig["identity"].startswith("ideal12 no. ")
+    assert (rig["R_mm"], rig["D_mm"], rig["shape"]) == (150.0, 15.0, "ellipsoid")
+    assert len(origin.pop("session_sha256")) == 64
     assert origin == {"instrument": "ideal12", "sample": "lambert"}
 
 
@@ -347,7 +351,9 @@ def test_slope_errors_stretch_a_lobe_alike_in_every_direction(psi_deg):
         limits=Limits(slope_error_deg=0.05, slope_correlation_deg=10.0),
         plan=SimpleNamespace(theta_i_deg=(30.0,)),
     )
-    measured = SimpleNamespace(metadata=stated, images=[part], incidence=np.zeros(24, np.int64))
+    measured = SimpleNamespace(
+        metadata=stated, images=[part], incidence=np.zeros(24, np.int64), dome=None
+    )
     terms = list(dome_slope.terms(measured))
     outwards = (w_r - mirror) / np.linalg.norm(w_r - mirror, axis=1, keepdims=True)
     along = [np.sum(t.shift * outwards, axis=1) for t in terms if t.name != "dome slope, shift"]

@@ -54,9 +54,11 @@ if TYPE_CHECKING:
     from gonio.samples import BRDFSamples
     from gonio.simulation import simulate
     from gonio.verbs.boards import boards
+    from gonio.verbs.calibrate_camera import calibrate_camera
     from gonio.verbs.check import check
     from gonio.verbs.doctor import doctor
     from gonio.verbs.evaluate import evaluate
+    from gonio.verbs.flats import flats
     from gonio.verbs.plot import plot
     from gonio.verbs.report import report
 
@@ -70,6 +72,7 @@ __all__ = [
     "boards",
     "budget",
     "calibrate_alignment",
+    "calibrate_camera",
     "calibrate_dome",
     "calibrate_lens",
     "calibration",
@@ -85,6 +88,7 @@ __all__ = [
     "files",
     "fit",
     "fitting",
+    "flats",
     "formats",
     "geometry",
     "import_rig",

@@ -35,6 +35,7 @@ _COMMANDS = {
     "budget": "List where the uncertainty of the samples comes from.",
     "check": "Check a model or a file: reciprocity, energy, which quantity.",
     "calibrate": "Calibrate a rig from photographs and frames taken for it.",
+    "flats": "Record flat and dark frames of a virtual camera.",
     "boards": "Photograph a calibration board virtually, or print it.",
     "materials": "List the papers' materials, or show one.",
     "models": "List the reflectance models, or show one.",

@@ -1,4 +1,4 @@
-"""`gonio calibrate`: lens, alignment and dome of a rig."""
+"""`gonio calibrate`: lens, camera, alignment and dome of a rig."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import rich_click as click
 from gonio.errors import unknown_name
 
 # Each is a file of this folder, calibrate_NAME.py.
-_SUBCOMMANDS = ("lens", "alignment", "dome")
+_SUBCOMMANDS = ("lens", "camera", "alignment", "dome")
 
 
 class _Subcommands(click.RichGroup):
@@ -32,4 +32,4 @@ class _Subcommands(click.RichGroup):
 
 @click.group(name="calibrate", cls=_Subcommands)
 def command() -> None:
-    """Calibrate the lens, the alignment or the dome of a rig."""
+    """Calibrate the lens, the camera, the alignment or the dome of a rig."""

@@ -87,6 +87,9 @@ def read(folder: str | Path) -> RigFile:
     lens = content.get("lens")
     if isinstance(lens, dict) and "file" in lens:
         lens_file, content["lens"] = _lens_of_file(folder, path, lens)
+    camera = content.get("camera")
+    if isinstance(camera, dict) and "file" in camera:
+        content["camera"] = _camera_of_file(folder, path, camera)
     try:
         table = SessionTable.model_validate(content)
     except ValidationError as error:
@@ -140,6 +143,34 @@ def _lens_of_file(
         )
     calibrated = lens_file.read(file)
     return LensFile(name, calibrated.rows, calibrated.columns), calibrated.lens
+
+
+def _camera_of_file(folder: Path, path: Path, camera: dict[str, Any]) -> dict[str, Any]:
+    """The table [camera] with the figures of the file that it names, and those it adds."""
+    from gonio.calibration.frames import camera_file
+
+    name = camera["file"]
+    if not isinstance(name, str):
+        raise ConfigurationError(
+            f"{path}: camera.file must be the name of a file (given: {name!r}).", value=name
+        )
+    file = inside(folder, name, f"{path}: camera.file")
+    if not file.is_file():
+        raise DataError(
+            f"{path}: camera.file = {name!r}: no such file beside it; 'gonio calibrate camera' "
+            "writes one.",
+            value=name,
+        )
+    measured = camera_file.read(file)
+    own = {key: value for key, value in camera.items() if key != "file"}
+    twice = sorted(set(own) & set(measured))
+    if twice:
+        raise ConfigurationError(
+            f"{path}: {name} says {', '.join(twice)} of the camera; leave it out, or leave "
+            "camera.file out.",
+            value=twice,
+        )
+    return measured | own
 
 
 def sentence(error: ValidationError) -> str:

@@ -22,9 +22,11 @@ VERBS = {
     "budget": "gonio.calibration.budget",
     "check": "gonio.verbs.check",
     "calibrate_lens": "gonio.calibration.lens.from_photos",
+    "calibrate_camera": "gonio.verbs.calibrate_camera",
     "calibrate_alignment": "gonio.calibration.dome.from_mirror",
     "calibrate_dome": "gonio.fitting.dome_field.calibrate_dome",
     "boards": "gonio.verbs.boards",
+    "flats": "gonio.verbs.flats",
     "doctor": "gonio.verbs.doctor",
 }
 
@@ -69,6 +71,7 @@ TYPES = {
 PYTHON_NAMES = {
     "import": "import_rig",
     "calibrate lens": "calibrate_lens",
+    "calibrate camera": "calibrate_camera",
     "calibrate alignment": "calibrate_alignment",
     "calibrate dome": "calibrate_dome",
     "instruments": "instrument",

@@ -111,7 +111,7 @@ def test_an_unsteady_lamp_is_named_and_widens_the_nonlinearity(results):
             lambda: Camera(1, power=0.6),
             r"counts grow as the exposure to the power of 0\.6\d.*gamma",
         ),
-        (lambda: Camera(1, black=1.0), r"of a dark frame hold 0 counts: the black level is cut"),
+        (lambda: Camera(1, black=1.0), "of a dark frame hold 0 counts: the black level is cut"),
         (lambda: Camera(1, times=TIMES[-4:]), "3 of 4 exposures are below saturation; 4 are"),
     ],
     ids=["gamma", "black", "few"],
@@ -124,7 +124,7 @@ def test_frames_that_cannot_give_the_figures_are_refused(camera, message):
 def test_a_copied_frame_is_refused():
     camera = Camera(1)
     camera.frames["flat", 3, 1] = camera.frames["flat", 3, 0]
-    with pytest.raises(DataError, match="the first two flat frames of .* ms are the same"):
+    with pytest.raises(DataError, match=r"the first two flat frames of .* ms are the same"):
         camera.figures()
 
 

@@ -73,7 +73,9 @@ class Levels:
         return float(np.sqrt(2 / (self.n_pixels * self.n_pairs)))
 
 
-def levels(frames: Frames, exposures_s: tuple[float, ...], takes: int) -> tuple[Levels, FloatArray]:
+def levels(
+    frames: Frames, exposures_s: tuple[float, ...], takes: int
+) -> tuple[Levels, NDArray[np.bool_]]:
     """Statistics of the frames, and a mask of pixels that are neither blind nor hot.
 
     Parameters

@@ -240,17 +240,17 @@ def _patterns(
     frames: Frames, found: Levels, used: NDArray[np.bool_], good: NDArray[np.bool_], gain: float
 ) -> tuple[Pair, Pair]:
     """PRNU, relative, and DSNU, e-/s: standard deviations from pixel to pixel."""
-    sums = []
+    sums: list[FloatArray] = []
     for take in (0, 1):
-        total = sum(
-            (frames("flat", k, take).astype(float) - frames("dark", k, take)
-             for k in np.flatnonzero(used).tolist()),
-            np.zeros(good.shape),
-        )  # fmt: skip
+        total: FloatArray = np.zeros(good.shape)
+        for k in np.flatnonzero(used).tolist():
+            total = total + frames("flat", k, take) - frames("dark", k, take)
         sums.append(total / smooth(total, good))
     prnu = _root(*pattern_variance(sums[0], sums[1], good))
     last = len(found.time_s) - 1
-    darks = [frames("dark", last, j).astype(float) - frames("dark", 0, j) for j in (0, 1)]
+    darks: list[FloatArray] = [
+        np.asarray(frames("dark", last, j).astype(float) - frames("dark", 0, j)) for j in (0, 1)
+    ]
     growth = [image - smooth(image, good) for image in darks]
     per_s = gain * float(found.time_s[-1] - found.time_s[0])
     dsnu, u = _root(*pattern_variance(growth[0], growth[1], good))

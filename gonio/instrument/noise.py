@@ -226,8 +226,8 @@ def _digitise(electrons, h, well, gain, gamma, bend, noise, black, top, out):  #
             electrons[k] = F(well * share**gamma)
     if bend != 0.0:
         for k in range(out.shape[0]):
-            e = np.float64(min(electrons[k], F(well)))
-            electrons[k] = F(e * (1.0 + bend * math.log10(max(e, 1.0) / well)))
+            kept = np.float64(min(electrons[k], F(well)))
+            electrons[k] = F(kept * (1.0 + bend * math.log10(max(kept, 1.0) / well)))
     for k in range(out.shape[0]):
         e = electrons[k] if electrons[k] < F(well) else F(well)
         x = F(gain) * e + F(noise) * h[k] + F(black + 0.5)

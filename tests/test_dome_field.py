@@ -16,11 +16,12 @@ from gonio.errors import ConfigurationError, DataError
 from gonio.fitting.dome_field.calibrated_samples import calibrated_samples
 from gonio.fitting.dome_field.equations import Prior, sums
 from gonio.fitting.dome_field.evidence import FieldData
-from gonio.fitting.dome_field.held_out import predictions
+from gonio.fitting.dome_field.findings import Findings
+from gonio.fitting.dome_field.held_out import Prediction, predictions
 from gonio.fitting.dome_field.part import Part, lab_directions, numbered
 from gonio.fitting.dome_field.posterior import Uncertainty, change_of_samples, modes
 from gonio.fitting.dome_field.rig import Rig
-from gonio.fitting.dome_field.self_calibration import self_calibrated
+from gonio.fitting.dome_field.self_calibration import SelfCalibration, self_calibrated
 from gonio.fitting.dome_field.solve import Joint, solve
 from gonio.fitting.dome_field.state import Layout, State
 from gonio.fitting.minimum.find import find_minimum
@@ -259,6 +260,7 @@ def test_what_was_done_is_said():
     # These are no warnings, and the table shows them.
     assert not result.warnings
     assert f"\n{first}\n{second}\n" in str(result)
+    assert found["by_cone"] < 0.01  # a lobe of 0.04 rad is wider than what the cone leaves open
     assert found["share"] == pytest.approx(1 - found["chi2_after"] / found["chi2_before"])
     assert found["share"] > 0.8
     assert {p["fails"] for p in found["predictions"]} == {False}
@@ -359,3 +361,20 @@ def test_directions_are_those_of_the_laboratory():
     axis = part.axes[0]
     assert np.allclose(np.sum(axis * problem.samples.directions.vectors()[1], axis=1), 0, atol=1e-9)
     assert equal_area(lab)[0].max() < 0.86
+
+
+@pytest.mark.parametrize(("by_cone", "kind"), [(0.005, "does_not_fit"), (0.02, "undecided")])
+def test_what_the_cone_of_the_lamp_may_cause_is_not_held_against_a_model(by_cone, kind):
+    failed = Prediction("rotation 90 deg", chi2=1500.0, n=1000)
+    findings = Findings(
+        chi2_before=100.0, chi2_after=1.3, share=0.98, sd_factor=1.0, correlation=0.17,
+        log_evidence=10.0, field_chi2=100.0, field_n=100, field_p=0.5, known=0.5,
+        predictions=(failed,), settled=True, by_cone=by_cone,
+    )  # fmt: skip
+    fitted = gonio.fit(measured(1), model="ward")
+    fits = replace(fitted, verdict=replace(fitted.verdict, kind="fits"))
+    verdict = SelfCalibration(measured(1), findings).noted(fits).verdict
+    assert verdict.kind == kind
+    assert "do not predict images that were left out (rotation 90 deg: chi2/n 1.5)" in verdict.line
+    asked = "the uncertainty of the lamp's half-angle changes it by 2 %" in verdict.line
+    assert asked == (kind == "undecided")

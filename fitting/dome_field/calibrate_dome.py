@@ -86,7 +86,7 @@ def calibrate_dome(
     ...                          instrument=instrument, plan=plan)
     >>> result = calibrate_dome(gonio.reduce(session), "ward")
     >>> result.map.rig
-    'modern12, seed 0'
+    'modern12 no. 7da18a3e'
     """
     several = [samples] if isinstance(samples, BRDFSamples) else list(samples)
     models = [model] if isinstance(model, str | Model) else list(model)

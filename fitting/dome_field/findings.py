@@ -15,6 +15,9 @@ from gonio.geometry import FloatArray
 
 IMPLAUSIBLE = 1e-3  # chance below which a field does not follow its prior
 MUCH = 2.0  # chi-squared a number: a statement of the size is good to a factor of 1.4
+# Mean relative change by the uncertainty of the lamp's cone, weighted by what a sample tells of the
+# field, from which on the cone hides what the field should predict.
+NEXT_TO_CONE = 0.01
 LARGE = 3.0  # standard deviations of the statement by which a field may be larger
 
 
@@ -79,6 +82,8 @@ class Findings:
         Share of the directions at which the field is known better than its prior.
     predictions : tuple of Prediction
     settled : bool
+    by_cone : float
+        Mean relative change of the lobe by the uncertainty of the lamp's cone.
     """
 
     chi2_before: float
@@ -93,6 +98,7 @@ class Findings:
     known: float
     predictions: tuple[Prediction, ...]
     settled: bool
+    by_cone: float
 
     @classmethod
     def of(cls, joint: Joint, spectrum: Spectrum) -> Findings:
@@ -111,6 +117,7 @@ class Findings:
             known=_known(joint, spectrum),
             predictions=predictions(joint),
             settled=joint.settled,
+            by_cone=_by_cone(joint),
         )
 
     @property
@@ -135,7 +142,18 @@ class Findings:
             reasons.append(
                 f"the slope errors would have to be {self.sd_factor:.2g} times what is stated"
             )
+        if reasons and self.hidden_by_cone:
+            reasons.append(
+                "but the lobe is so narrow that the uncertainty of the lamp's half-angle changes "
+                f"it by {100 * self.by_cone:.2g} %, and that alone may be the cause: measure the "
+                "half-angle (lamp.half_angle_deg and its u_half_angle_deg)"
+            )
         return tuple(reasons)
+
+    @property
+    def hidden_by_cone(self) -> bool:
+        """Whether a failure may be that of the lamp's cone and not of the model."""
+        return self.by_cone > NEXT_TO_CONE
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -188,6 +206,7 @@ class Findings:
             "field_p": self.field_p,
             "known": self.known,
             "settled": self.settled,
+            "by_cone": self.by_cone,
             "notes": list(self.notes),
             "predictions": [
                 {"left_out": p.left_out, "chi2": p.chi2, "n": p.n, "fails": p.fails}
@@ -207,3 +226,14 @@ def _known(joint: Joint, spectrum: Spectrum) -> float:
         rows = root @ spectrum.vectors[component * k : (component + 1) * k]
         share[component] = 1 - (rows**2 @ lost) / prior
     return float(np.mean(np.min(share, axis=0) < LEARNT**2))
+
+
+def _by_cone(joint: Joint) -> float:
+    """Mean relative change by propagated blurs, weighted by the information on the field."""
+    change, information = 0.0, 0.0
+    for part, rows, p in zip(joint.parts, joint.rows, joint.state.p, strict=True):
+        weight = np.sum(rows.slope.by_field**2, axis=1) * rows.root**2
+        blur = part.propagated_blur(p, joint.state.field, joint.state.z)
+        change += float(weight @ blur)
+        information += float(np.sum(weight))
+    return change / information if information > 0 else 0.0

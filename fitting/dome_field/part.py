@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.problem.protocol import Problem
+from gonio.fitting.problem.shared_change import shared_change
 from gonio.geometry import FloatArray, rotated
 from gonio.samples import Cells, SharedTerm
 from gonio.tangent_field import Interpolation, Nodes, tangents
@@ -159,6 +160,18 @@ class Part:
             by_draw=np.stack(by_draw, axis=1) if by_draw else np.zeros((len(f), 0)),
             by_field=factor[:, None] * by_field,
         )
+
+    def propagated_blur(self, p: FloatArray, field: FloatArray, z: FloatArray) -> FloatArray:
+        """Change (N,) of F over f by blurs that are propagated and no unknowns."""
+        shift, turn = self.moves(field, z)
+        here = self.problem.with_directions(shift=shift, turn=turn)
+        f = here.values(p)
+        changes = [
+            shared_change(here, term, p, f) / np.maximum(np.abs(f), 1e-300)
+            for term in self.problem.samples.shared
+            if term.blur
+        ]
+        return np.asarray(np.sqrt(sum((change**2 for change in changes), np.zeros(len(f)))))
 
     @cached_property
     def _relative(self) -> list[FloatArray | float]:

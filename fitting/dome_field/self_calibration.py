@@ -33,12 +33,15 @@ class SelfCalibration:
     def noted(self, result: FitResult) -> FitResult:
         """A fit to the samples with what was found, and with the verdict of the predictions.
 
-        A fit is refused where the field may hide that its model is wrong.
+        A fit is refused where the field may hide that its model is wrong. It stays undecided where
+        the uncertainty of the lamp's cone may be the cause.
         """
         verdict, failures = result.verdict, self.findings.failures
         if failures and verdict is not None:
             reasons = failures if verdict.fits else (verdict.reason, *failures)
-            verdict = replace(verdict, kind="does_not_fit", reason="; ".join(reasons))
+            undecided = verdict.fits and self.findings.hidden_by_cone
+            kind = "undecided" if undecided else "does_not_fit"
+            verdict = replace(verdict, kind=kind, reason="; ".join(reasons))
         return replace(
             result,
             verdict=verdict,

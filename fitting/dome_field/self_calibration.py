@@ -39,9 +39,11 @@ class SelfCalibration:
         verdict, failures = result.verdict, self.findings.failures
         if failures and verdict is not None:
             reasons = failures if verdict.fits else (verdict.reason, *failures)
-            undecided = verdict.fits and self.findings.hidden_by_cone
-            kind = "undecided" if undecided else "does_not_fit"
-            verdict = replace(verdict, kind=kind, reason="; ".join(reasons))
+            reason = "; ".join(reasons)
+            if verdict.fits and self.findings.hidden_by_cone:
+                verdict = replace(verdict, kind="undecided", reason=reason)
+            else:
+                verdict = replace(verdict, kind="does_not_fit", reason=reason)
         return replace(
             result,
             verdict=verdict,
